@@ -1,6 +1,19 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
+from stereokit.aggregation import (
+    GCE,
+    AdditiveGuidance,
+    EncoderDecoder,
+    Hourglass,
+    NeighborhoodAggregation,
+    StackedHourglass,
+)
+from stereokit.backbones import ResidualTower, SpatialPyramid, UNet
+from stereokit.builder import build_model
+from stereokit.costs import ConcatenationVolume, CorrelationVolume, GroupwiseCorrelationVolume
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
-
-__all__ = ["CheckpointError", "ConfigError", "InputError", "StereoKitError", "__version__"]
+from stereokit.model import StereoModel, StereoOutput
+from stereokit.models import coex, gcnet, psmnet
+from stereokit.registry import list_components, list_models
+from stereokit.regression import SoftArgmin, SuperpixelUpsampler, TopKSoftArgmin

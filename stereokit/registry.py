@@ -100,6 +100,10 @@ class Registry:
             raise ConfigError(f"unknown {self.kind} {name!r}; {suggest(name, self.names())}")
         return self._factories[name]
 
+    def parameters(self, name: str) -> Mapping[str, inspect.Parameter]:
+        """The arguments that the component takes."""
+        return inspect.signature(self.get(name)).parameters
+
     def names(self, pattern: str = "*") -> list[str]:
         """The registered names that match a shell-style wildcard, sorted."""
         _load_plugins()
@@ -121,8 +125,7 @@ class Registry:
         Raises:
             ConfigError: unknown name, unknown argument or missing argument.
         """
-        factory = self.get(name)
-        parameters = inspect.signature(factory).parameters
+        parameters = self.parameters(name)
         self._check(name, arguments, parameters)
         accepted = {k: v for k, v in (offered or {}).items() if k in parameters}
         merged = {**accepted, **arguments}
@@ -133,11 +136,11 @@ class Registry:
         ]
         if missing:
             raise ConfigError(f"{self.kind} {name!r} needs the argument {', '.join(missing)}, which was not given")
-        return factory(**merged)
+        return self.get(name)(**merged)
 
     def resolve(self, name: str, arguments: Mapping[str, Any], offered: Mapping[str, Any]) -> dict[str, Any]:
         """All arguments with which `build` would call the component, less the offered ones: its full configuration."""
-        parameters = inspect.signature(self.get(name)).parameters
+        parameters = self.parameters(name)
         self._check(name, arguments, parameters)
         defaults = {k: p.default for k, p in parameters.items() if p.default is not p.empty and k not in offered}
         return {**defaults, **arguments}

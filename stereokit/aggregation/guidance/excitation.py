@@ -1,0 +1,102 @@
+"""Guided Cost volume Excitation (GCE), and its additive twin."""
+
+from torch import Tensor, nn
+
+from stereokit.layers import ConvNormAct, init_convolutions
+from stereokit.registry import GUIDANCE
+
+__all__ = ["GCE", "AdditiveGuidance", "excite"]
+
+
+def excite(volume: Tensor, logits: Tensor) -> Tensor:
+    r"""Scales the channels of a cost volume, pixel by pixel and alike at every disparity.
+
+    .. math:: C_o = \sigma(a) \times C_i
+
+    Args:
+        volume: (B, C, D, H, W).
+        logits: a, (B, C, H, W).
+
+    Returns:
+        (B, C, D, H, W), nowhere larger in magnitude than `volume`.
+
+    Source: CoEx, equation 1.
+
+    >>> import torch
+    >>> excite(torch.ones(1, 2, 3, 1, 1), torch.zeros(1, 2, 1, 1)).unique()
+    tensor([0.5000])
+    """
+    return logits.sigmoid().unsqueeze(2) * volume
+
+
+def guide_network(guide_channels: int, volume_channels: int) -> nn.Sequential:
+    """Two point-wise convolutions from a guide to one value per channel of the volume."""
+    hidden = max(1, guide_channels // 2)
+    network = nn.Sequential(
+        ConvNormAct(guide_channels, hidden, 1),
+        nn.Conv2d(hidden, volume_channels, 1),
+    )
+    init_convolutions(network)
+    return network
+
+
+@GUIDANCE.register("gce")
+class GCE(nn.Module):
+    r"""Guided Cost volume Excitation: image features choose which channels of the cost volume count.
+
+    .. math:: \alpha = \sigma(F^{2D}(I)), \qquad C_o = \alpha \times C_i
+
+    It drops into any volumetric network, wherever a cost volume and a feature map of one size meet.
+
+    Args:
+        guide_channels: of the image features I.
+        volume_channels: of the cost volume.
+
+    Shape: volume (B, volume_channels, D, H, W) and guide (B, guide_channels, H, W) to the volume's shape.
+
+    Source: CoEx, section "Guided Cost volume Excitation".
+
+    >>> import torch
+    >>> gce = GCE(guide_channels=96, volume_channels=8)
+    >>> gce(torch.rand(2, 8, 12, 16, 32), torch.rand(2, 96, 16, 32)).shape
+    torch.Size([2, 8, 12, 16, 32])
+    """
+
+    def __init__(self, guide_channels: int, volume_channels: int) -> None:
+        super().__init__()
+        self.guide_channels = guide_channels
+        self.volume_channels = volume_channels
+        self.network = guide_network(guide_channels, volume_channels)
+
+    def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
+        """Volume and guide to the excited volume."""
+        return excite(volume, self.network(guide))
+
+
+@GUIDANCE.register("addition")
+class AdditiveGuidance(nn.Module):
+    r"""Image features added to the cost volume, alike at every disparity: :math:`C_o = C_i + F^{2D}(I)`.
+
+    Args:
+        guide_channels: of the image features I.
+        volume_channels: of the cost volume.
+
+    Shape: volume (B, volume_channels, D, H, W) and guide (B, guide_channels, H, W) to the volume's shape.
+
+    Source: CoEx, section "Ablation study", table "addition or excitation".
+
+    >>> import torch
+    >>> add = AdditiveGuidance(guide_channels=96, volume_channels=8)
+    >>> add(torch.rand(1, 8, 12, 16, 32), torch.rand(1, 96, 16, 32)).shape
+    torch.Size([1, 8, 12, 16, 32])
+    """
+
+    def __init__(self, guide_channels: int, volume_channels: int) -> None:
+        super().__init__()
+        self.guide_channels = guide_channels
+        self.volume_channels = volume_channels
+        self.network = guide_network(guide_channels, volume_channels)
+
+    def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
+        """Volume and guide to their sum."""
+        return volume + self.network(guide).unsqueeze(2)

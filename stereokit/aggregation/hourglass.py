@@ -1,0 +1,112 @@
+"""The cost aggregation of CoEx: one small hourglass, guided at every scale."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from stereokit.aggregation.guidance.point import GuidancePlan, GuidancePoint
+from stereokit.contracts import GuidanceFactory, GuidancePlacement, Guides
+from stereokit.layers import ConvNormAct, crop_to, init_convolutions
+from stereokit.registry import AGGREGATIONS
+
+__all__ = ["Hourglass"]
+
+
+class Down(nn.Module):
+    """Halve the volume, convolve, guide."""
+
+    def __init__(self, in_channels: int, out_channels: int, guidance: GuidancePoint) -> None:
+        super().__init__()
+        self.convs = nn.Sequential(
+            ConvNormAct(in_channels, out_channels, dims=3, stride=2), ConvNormAct(out_channels, out_channels, dims=3)
+        )
+        self.guidance = guidance
+
+    def forward(self, volume: Tensor, guides: Guides) -> Tensor:
+        """(B, in_channels, D, H, W) to (B, out_channels, D/2, H/2, W/2)."""
+        return self.guidance(self.convs(volume), guides)
+
+
+class Up(nn.Module):
+    """Double the volume, merge the skip, convolve, guide."""
+
+    def __init__(self, in_channels: int, out_channels: int, guidance: GuidancePoint) -> None:
+        super().__init__()
+        self.up = ConvNormAct(in_channels, out_channels, 4, dims=3, stride=2, transposed=True)
+        self.merge = ConvNormAct(2 * out_channels, out_channels, 1, dims=3)
+        self.convs = nn.Sequential(
+            ConvNormAct(out_channels, out_channels, dims=3), ConvNormAct(out_channels, out_channels, dims=3)
+        )
+        self.guidance = guidance
+
+    def forward(self, volume: Tensor, skip: Tensor, guides: Guides) -> Tensor:
+        """(B, in_channels, D, H, W) and a skip (B, out_channels, 2D, 2H, 2W) to the skip's shape."""
+        merged = self.merge(torch.cat((crop_to(self.up(volume), skip), skip), dim=1))
+        return self.guidance(self.convs(merged), guides)
+
+
+@AGGREGATIONS.register("hourglass")
+class Hourglass(nn.Module):
+    """Encoder-decoder of 3D convolutions with skips; image features guide it at every scale.
+
+    Args:
+        in_channels: of the cost volume.
+        stride: of the cost volume.
+        guide_channels: of the guides, by stride; needed at `stride`, twice, four and eight times it for "full".
+        guidance: makes a guidance block, such as `GCE`; None for none.
+        guidance_at: "one" guides the stem's output only, "full" that of every stage.
+        channels: of the stem and of the three scales below it.
+
+    Shape: volume (B, in_channels, D, H, W) and guides {stride: (B, G, H * stride0 / stride, ..)} to one tensor
+    (B, D, H, W) of logits, larger is better. D, H and W may be odd: what does not fit is cut.
+
+    Source: CoEx, appendix "Detailed architecture", table "Cost aggregation module".
+
+    >>> from stereokit import GCE
+    >>> hourglass = Hourglass(in_channels=1, guidance=GCE, guide_channels={4: 96, 8: 64, 16: 192, 32: 160})
+    >>> guides = {s: torch.rand(1, c, 128 // s, 192 // s) for s, c in hourglass.guide_channels.items()}
+    >>> hourglass(torch.rand(1, 1, 24, 32, 48), guides)[-1].shape
+    torch.Size([1, 24, 32, 48])
+    """
+
+    multiple = 8
+    upscale = 1
+    auxiliary_weights = ()
+
+    def __init__(
+        self,
+        *,
+        in_channels: int,
+        stride: int = 4,
+        guide_channels: Mapping[int, int] | None = None,
+        guidance: GuidanceFactory | None = None,
+        guidance_at: GuidancePlacement = "full",
+        channels: Sequence[int] = (8, 16, 32, 48),
+    ) -> None:
+        super().__init__()
+        self.in_channels = in_channels
+        c0, c1, c2, c3 = channels
+        plan = GuidancePlan(guidance, guidance_at, stride, guide_channels)
+
+        self.stem = ConvNormAct(in_channels, c0, dims=3)
+        self.stem_guidance = plan.first(c0)
+        self.down1 = Down(c0, c1, plan.at(2, c1))
+        self.down2 = Down(c1, c2, plan.at(4, c2))
+        self.down3 = Down(c2, c3, plan.at(8, c3))
+        self.up3 = Up(c3, c2, plan.at(4, c2))
+        self.up2 = Up(c2, c1, plan.at(2, c1))
+        self.up1 = nn.ConvTranspose3d(c1, 1, 4, stride=2, padding=1, bias=False)
+        init_convolutions(self.up1)
+        self.guide_channels = GuidancePlan.guides_read_by(self)
+
+    def forward(self, volume: Tensor, guides: Guides) -> tuple[Tensor, ...]:
+        """Volume and guides to logits."""
+        x = self.stem_guidance(self.stem(volume), guides)
+        x1 = self.down1(x, guides)
+        x2 = self.down2(x1, guides)
+        x3 = self.down3(x2, guides)
+        x2 = self.up3(x3, x2, guides)
+        x1 = self.up2(x2, x1, guides)
+        logits = crop_to(self.up1(x1), volume)
+        return (logits.squeeze(1),)

@@ -1,0 +1,79 @@
+"""The feature extractor of GC-Net: a tower of residual blocks at half resolution."""
+
+from torch import Tensor, nn
+
+from stereokit.contracts import FeatureInfo, Features
+from stereokit.layers import Activation, ConvNormAct, init_convolutions, relu
+from stereokit.registry import BACKBONES
+
+__all__ = ["ResidualBlock", "ResidualTower"]
+
+
+class ResidualBlock(nn.Module):
+    """Two 3x3 convolutions and a skip, without an activation after the sum.
+
+    Args:
+        in_channels: of the input.
+        out_channels: of the output; where it or the size differs, the skip is a 1x1 convolution with batch norm.
+        stride: of the first convolution.
+        dilation: of both.
+        last_activation: of the second convolution, before the sum.
+    """
+
+    def __init__(
+        self,
+        in_channels: int,
+        out_channels: int,
+        *,
+        stride: int = 1,
+        dilation: int = 1,
+        last_activation: Activation | None = None,
+    ) -> None:
+        super().__init__()
+        self.conv1 = ConvNormAct(in_channels, out_channels, stride=stride, dilation=dilation, activation=relu)
+        self.conv2 = ConvNormAct(out_channels, out_channels, dilation=dilation, activation=last_activation)
+        self.skip = (
+            nn.Identity()
+            if stride == 1 and in_channels == out_channels
+            else ConvNormAct(in_channels, out_channels, 1, stride=stride, activation=None)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, in_channels, H, W) to (B, out_channels, H / stride, W / stride)."""
+        return self.conv2(self.conv1(x)) + self.skip(x)
+
+
+@BACKBONES.register("residual")
+class ResidualTower(nn.Module):
+    """A strided 5x5 convolution, residual blocks, and a 3x3 convolution without norm.
+
+    Args:
+        channels: of every layer.
+        blocks: residual blocks.
+
+    Shape: (B, 3, H, W), sides even, to `Features`: matching (B, channels, H/2, W/2), guides {2: channels}.
+
+    Source: Kendall et al., "End-to-end learning of geometry and context for deep stereo regression", ICCV 2017,
+    table 1, layers 1 to 18.
+
+    >>> import torch
+    >>> ResidualTower().eval()(torch.rand(1, 3, 32, 48)).matching.shape
+    torch.Size([1, 32, 16, 24])
+    """
+
+    multiple = 2
+
+    def __init__(self, *, channels: int = 32, blocks: int = 8) -> None:
+        super().__init__()
+        self.stem = ConvNormAct(3, channels, 5, stride=2, activation=relu)
+        self.blocks = nn.Sequential(
+            *(ResidualBlock(channels, channels, last_activation=relu) for _ in range(blocks))
+        )
+        self.head = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
+        init_convolutions(self.head)
+        self.info = FeatureInfo(matching_channels=channels, matching_stride=2, guide_channels={2: channels})
+
+    def forward(self, images: Tensor) -> Features:
+        """Images to features."""
+        matching = self.head(self.blocks(self.stem(images)))
+        return Features(matching=matching, guides={2: matching})

@@ -1,0 +1,100 @@
+"""The feature extractor of CoEx: a U-Net over any timm model."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from stereokit.backbones.encoder import build_encoder
+from stereokit.contracts import FeatureInfo, Features
+from stereokit.layers import ConvNormAct, crop_to, relu
+from stereokit.registry import BACKBONES
+
+__all__ = ["UNet"]
+
+
+class UpStep(nn.Module):
+    """One step of the decoder: upsample, concatenate the finer skip, convolve."""
+
+    def __init__(self, in_channels: int, skip_channels: int) -> None:
+        super().__init__()
+        self.out_channels = 2 * skip_channels
+        self.up = ConvNormAct(in_channels, skip_channels, 4, stride=2, transposed=True)
+        self.merge = ConvNormAct(self.out_channels, self.out_channels)
+
+    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        """Coarse (B, C, h, w) and skip (B, S, 2h, 2w) to (B, out_channels, 2h, 2w)."""
+        return self.merge(torch.cat((crop_to(self.up(x), skip), skip), dim=1))
+
+
+def image_stem(in_channels: int, out_channels: int) -> nn.Sequential:
+    """Two 3x3 convolutions, the first of which halves the size."""
+    return nn.Sequential(
+        ConvNormAct(in_channels, out_channels, stride=2),
+        ConvNormAct(out_channels, out_channels, activation=relu),
+    )
+
+
+@BACKBONES.register("unet")
+class UNet(nn.Module):
+    """Encoder with a U-Net decoder, and a shallow stem that keeps the fine detail.
+
+    The matching features are those at stride 4: decoder and stem concatenated. The guides are the stem at stride 2,
+    the matching features at 4, the decoder at 8 and 16, and the encoder at 32.
+
+    Args:
+        encoder: a timm model with features at strides 4 to 32.
+        stem_channels: of the stem at strides 2 and 4.
+        pretrained: load timm's weights for the encoder.
+
+    Shape: (B, 3, H, W), sides multiples of 32, to `Features`; with the default encoder the channels are
+    96 (matching) and {2: 32, 4: 96, 8: 64, 16: 192, 32: 160} (guides).
+
+    Source: CoEx, section "Matching cost computation".
+
+    >>> UNet().eval()(torch.rand(1, 3, 64, 96)).matching.shape
+    torch.Size([1, 96, 16, 24])
+    """
+
+    multiple = 32
+
+    def __init__(
+        self,
+        *,
+        encoder: str = "mobilenetv2_100",
+        stem_channels: Sequence[int] = (32, 48),
+        pretrained: bool = False,
+    ) -> None:
+        super().__init__()
+        stem2, stem4 = stem_channels
+        self.encoder = build_encoder(encoder, pretrained=pretrained)
+        skips = self.encoder.channels
+        self.stem_2 = image_stem(3, stem2)
+        self.stem_4 = image_stem(stem2, stem4)
+        self.up_16 = UpStep(skips[32], skips[16])
+        self.up_8 = UpStep(self.up_16.out_channels, skips[8])
+        self.up_4 = UpStep(self.up_8.out_channels, skips[4])
+        self.merge_4 = ConvNormAct(self.up_4.out_channels, self.up_4.out_channels)
+        matching = self.up_4.out_channels + stem4
+        self.info = FeatureInfo(
+            matching_channels=matching,
+            matching_stride=4,
+            guide_channels={
+                2: stem2,
+                4: matching,
+                8: self.up_8.out_channels,
+                16: self.up_16.out_channels,
+                32: skips[32],
+            },
+        )
+
+    def forward(self, images: Tensor) -> Features:
+        """Images to features."""
+        stem_2 = self.stem_2(images)
+        stem_4 = self.stem_4(stem_2)
+        skips = self.encoder(images)
+        x16 = self.up_16(skips[32], skips[16])
+        x8 = self.up_8(x16, skips[8])
+        x4 = self.merge_4(self.up_4(x8, skips[4]))
+        x4 = torch.cat((x4, stem_4), dim=1)
+        return Features(matching=x4, guides={2: stem_2, 4: x4, 8: x8, 16: x16, 32: skips[32]})

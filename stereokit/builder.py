@@ -1,0 +1,258 @@
+"""Networks by name: recipes, overrides, and the configuration that rebuilds a network."""
+
+import json
+from collections.abc import Mapping
+from typing import Any, Literal, TypeAlias, TypedDict, Union, cast
+
+from torch import nn
+
+from stereokit.backbones.encoder import is_timm_model
+from stereokit.contracts import FeatureInfo, GuidanceFactory, check_max_disparity
+from stereokit.errors import ConfigError
+from stereokit.registry import (
+    AGGREGATIONS,
+    BACKBONES,
+    COSTS,
+    GUIDANCE,
+    MODELS,
+    REGRESSIONS,
+    UPSAMPLERS,
+    Registry,
+    suggest,
+)
+from stereokit.model import StereoModel
+
+__all__ = ["Component", "ModelConfig", "Override", "Presets", "build_model", "compose"]
+
+Component: TypeAlias = dict[str, Any]
+"""``{"name": .., **arguments}``"""
+
+Override: TypeAlias = Union[str, Component, nn.Module]
+"""A component's name, its name with arguments, or the block itself."""
+
+Presets: TypeAlias = Mapping[str, Mapping[str, Component]]
+"""Arguments that a recipe gives a component when it is chosen: slot, then name, then arguments."""
+
+SLOTS: dict[str, Registry] = {
+    "backbone": BACKBONES,
+    "cost": COSTS,
+    "guidance": GUIDANCE,
+    "aggregation": AGGREGATIONS,
+    "regression": REGRESSIONS,
+    "upsampler": UPSAMPLERS,
+}
+
+
+class ModelConfig(TypedDict):
+    """All that a network is built from: plain JSON, in and out.
+
+    >>> from stereokit import build_model
+    >>> config = build_model("coex").config
+    >>> config["regression"]
+    {'name': 'top_k', 'k': 2, 'test_k': None}
+    >>> build_model(json.loads(json.dumps(config))).config == config
+    True
+    """
+
+    name: str
+    backbone: Component
+    cost: Component
+    guidance: Component
+    guidance_at: Literal["one", "full"]
+    aggregation: Component
+    regression: Component
+    upsampler: Component
+    max_disparity: int
+    mean: list[float]
+    std: list[float]
+    padding: Literal["replicate", "zeros"]
+
+
+def build_model(model: str | Mapping[str, Any], **overrides: Any) -> Any:
+    """Builds a registered network.
+
+    Args:
+        model: a name, see `list_models`; or a whole configuration, such as the `config` of another network.
+        overrides: for networks made of slots (`StereoModel`):
+
+            - ``backbone``, ``cost``, ``guidance``, ``aggregation``, ``regression``, ``upsampler``: a component's name
+              (see `list_components`), a dict ``{"name": .., **arguments}``, or the block itself. A dict without a name
+              changes arguments of the recipe's own component. The name of a timm model as ``backbone`` stands for the
+              U-Net over it.
+            - ``top_k``: short for ``regression={"name": "top_k", "k": top_k}``.
+            - ``guidance_at``: "one" place or "full", at every scale.
+            - ``max_disparity``: D, in pixels.
+            - ``mean``, ``std``, ``padding``: the preprocessing, see `StereoModel`.
+            - ``pretrained_backbone``: load timm's weights for the encoder.
+
+    Returns:
+        The network; its weights are random unless said otherwise.
+
+    Raises:
+        ConfigError: an unknown name or argument, or blocks that do not fit each other.
+
+    >>> build_model("psmnet", guidance="gce", top_k=6).config["guidance_at"]
+    'one'
+    >>> build_model("coex", backbone="resnet18", cost={"name": "groupwise_correlation", "groups": 4}).multiple
+    32
+    """
+    if isinstance(model, str):
+        return MODELS.get(model)(**overrides)
+    settings = dict(model)
+    name = settings.pop("name", None)
+    if not isinstance(name, str):
+        raise ConfigError(f"a configuration holds the name of its model, one of {', '.join(MODELS.names())}")
+    return MODELS.get(name)(**{**settings, **overrides})
+
+
+def compose(
+    recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any]
+) -> StereoModel:
+    """Builds the network of a recipe with some of its choices overridden.
+
+    Args:
+        recipe: the default choice for every slot.
+        presets: arguments for components that may be chosen in place of the default ones.
+        overrides: see `build_model`.
+
+    Raises:
+        ConfigError: see `build_model`.
+    """
+    overrides = dict(overrides)
+    pretrained = bool(overrides.pop("pretrained_backbone", False))
+    _expand_top_k(overrides)
+    for key in overrides:
+        if key not in recipe or key == "name":
+            known = [k for k in recipe if k != "name"] + ["pretrained_backbone", "top_k"]
+            raise ConfigError(f"model {recipe['name']!r} takes no argument {key!r}; {suggest(key, known)}")
+    choice: dict[str, Any] = {**recipe, **overrides}
+    slots = {slot: _Slot(slot, recipe, presets, choice[slot]) for slot in SLOTS}
+
+    backbone = slots["backbone"].build(pretrained=pretrained)
+    info: FeatureInfo = backbone.info
+    stride, max_disparity = info.matching_stride, choice["max_disparity"]
+    check_max_disparity(max_disparity, stride, f"the features of {slots['backbone']}")
+    cost = slots["cost"].build(in_channels=info.matching_channels, levels=max_disparity // stride)
+    aggregation = slots["aggregation"].build(
+        in_channels=cost.out_channels,
+        stride=stride,
+        guide_channels={s: c for s in (stride << i for i in range(6)) if (c := info.channels_at(s))},
+        guidance=slots["guidance"].factory(),
+        guidance_at=choice["guidance_at"],
+    )
+    regression = slots["regression"].build()
+    upsampler = slots["upsampler"].build(
+        scale=stride // aggregation.upscale, guide_channels=dict(info.guide_channels)
+    )
+    model = StereoModel(
+        backbone=backbone,
+        cost=cost,
+        aggregation=aggregation,
+        regression=regression,
+        upsampler=upsampler,
+        max_disparity=max_disparity,
+        mean=choice["mean"],
+        std=choice["std"],
+        padding=choice["padding"],
+    )
+    resolved = {**choice, **{slot: s.resolved for slot, s in slots.items()}}
+    model.config = cast(ModelConfig, _as_json(resolved))
+    return model
+
+
+class _Slot:
+    """One choice: a registered component with its arguments, or a block made elsewhere."""
+
+    def __init__(self, slot: str, recipe: ModelConfig, presets: Presets, choice: Override) -> None:
+        self.slot = slot
+        self.registry = SLOTS[slot]
+        self.block: nn.Module | None = None
+        if isinstance(choice, nn.Module):
+            self.block = choice
+            self.resolved: Component = {"instance": f"{type(choice).__module__}.{type(choice).__qualname__}"}
+            return
+        default: Component = recipe[slot]  # type: ignore[literal-required]
+        given: Component = {"name": choice} if isinstance(choice, str) else choice
+        if not isinstance(given, Mapping):
+            raise ConfigError(
+                f"{slot}={choice!r}: expected a component's name, a dict {{'name': .., **arguments}} or a module"
+            )
+        if "instance" in given:
+            raise ConfigError(
+                f"the configuration was made with a {slot} of {given['instance']} that was passed in as a module, which "
+                f"JSON can't rebuild; pass it again, {slot}=.., or register the class and pass its name"
+            )
+        arguments = dict(given)
+        name = arguments.pop("name", default["name"])
+        if slot == "backbone" and name not in BACKBONES and isinstance(name, str) and is_timm_model(name):
+            arguments["encoder"] = name
+            name = "unet"
+        own = {k: v for k, v in default.items() if k != "name"} if name == default["name"] else {}
+        self.name: str = name
+        self.arguments = {**presets.get(slot, {}).get(name, {}), **own, **arguments}
+        self.resolved = {"name": name, **self.arguments}
+        self.registry.get(name)
+
+    def __str__(self) -> str:
+        return f"{self.slot} {self.resolved.get('name', self.resolved.get('instance'))!r}"
+
+    def build(self, **offered: Any) -> Any:
+        """The block; `offered` is what its neighbours decide."""
+        if self.block is not None:
+            return self.block
+        if offered.get("pretrained") and "pretrained" not in self.registry.parameters(self.name):
+            raise ConfigError(f"{self} has no pretrained weights to load")
+        self.resolved = {"name": self.name, **self.registry.resolve(self.name, self.arguments, offered)}
+        return self.registry.build(self.name, self.arguments, offered)
+
+    def factory(self) -> GuidanceFactory | None:
+        """For the guidance slot: what an aggregation calls at each of its guidance points."""
+        if self.block is not None:
+            return _SinglePlace(self.block)
+        channels = {"guide_channels": None, "volume_channels": None}
+        self.resolved = {"name": self.name, **self.registry.resolve(self.name, self.arguments, channels)}
+        if self.name == "none":
+            return None
+
+        def make(*, guide_channels: int, volume_channels: int) -> nn.Module:
+            offered = {"guide_channels": guide_channels, "volume_channels": volume_channels}
+            return cast(nn.Module, self.registry.build(self.name, self.arguments, offered))
+
+        return make
+
+
+class _SinglePlace:
+    """Lends a guidance block made elsewhere to the one place that it fits."""
+
+    def __init__(self, block: nn.Module) -> None:
+        self.block = block
+        self.taken = False
+
+    def __call__(self, *, guide_channels: int, volume_channels: int) -> nn.Module:
+        kind = type(self.block).__name__
+        if self.taken:
+            raise ConfigError(
+                f"guidance {kind} was passed in as one module, but the aggregation has several places for it; "
+                "guidance_at='one' would do, or register the class and pass its name"
+            )
+        self.taken = True
+        for what, wanted in (("guide_channels", guide_channels), ("volume_channels", volume_channels)):
+            has = getattr(self.block, what, wanted)
+            if has != wanted:
+                raise ConfigError(f"guidance {kind} has {what} {has}, but the aggregation's place for it has {wanted}")
+        return self.block
+
+
+def _expand_top_k(overrides: dict[str, Any]) -> None:
+    if "top_k" not in overrides:
+        return
+    if "regression" in overrides:
+        raise ConfigError("top_k=.. is short for a regression: give one of top_k and regression")
+    overrides["regression"] = {"name": "top_k", "k": overrides.pop("top_k")}
+
+
+def _as_json(config: dict[str, Any]) -> Any:
+    try:
+        return json.loads(json.dumps(config))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"the arguments of components are plain JSON values, so that a network can be saved: {error}") from error

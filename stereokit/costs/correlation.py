@@ -1,0 +1,166 @@
+"""Correlation cost volumes: cosine similarity, whole or by groups of channels."""
+
+from collections.abc import Sequence
+
+from einops import rearrange
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stereokit.costs.projection import Projection
+from stereokit.costs.shift import check_features, inner_products
+from stereokit.errors import ConfigError, InputError
+from stereokit.registry import COSTS
+
+__all__ = ["CorrelationVolume", "GroupwiseCorrelationVolume", "correlation_volume", "groupwise_correlation_volume"]
+
+EPS = 1e-4
+
+
+def correlation_volume(left: Tensor, right: Tensor, levels: int) -> Tensor:
+    r"""Cosine similarity of left and shifted right features.
+
+    .. math:: C(d, y, x) = \frac{l(y, x) \cdot r(y, x - d)}{\|l(y, x)\|\,\|r(y, x - d)\|}, \quad 0 \text{ where } x < d
+
+    Args:
+        left: (B, C, H, W).
+        right: (B, C, H, W).
+        levels: D, the disparities 0 .. D - 1, in pixels of the maps.
+
+    Returns:
+        (B, 1, D, H, W), in [-1, 1]. All-zero features give 0.
+
+    Raises:
+        InputError: the maps are not a pair.
+
+    Source: CoEx, section "Matching cost computation".
+
+    >>> import torch
+    >>> features = torch.rand(1, 8, 4, 16)
+    >>> correlation_volume(features, features.roll(-3, -1), 6)[0, 0, :, 0, 10].argmax()
+    tensor(3)
+    """
+    check_features(left, right, levels)
+    return inner_products(_normalise(left), _normalise(right), levels).unsqueeze(1)
+
+
+def groupwise_correlation_volume(
+    left: Tensor, right: Tensor, levels: int, groups: int, *, normalise: bool = False
+) -> Tensor:
+    r"""Mean product of left and shifted right features, by groups of channels.
+
+    .. math:: C(g, d, y, x) = \frac{1}{|g|} \sum_{c \in g} l_c(y, x)\, r_c(y, x - d), \quad 0 \text{ where } x < d
+
+    Args:
+        left: (B, C, H, W).
+        right: (B, C, H, W).
+        levels: D, the disparities 0 .. D - 1, in pixels of the maps.
+        groups: G, which divides C.
+        normalise: cosine similarity per group in place of the mean product.
+
+    Returns:
+        (B, G, D, H, W).
+
+    Raises:
+        InputError: the maps are not a pair, or the groups do not divide their channels.
+
+    Source: Guo et al., "Group-wise correlation stereo network", CVPR 2019, equation 2.
+
+    >>> import torch
+    >>> groupwise_correlation_volume(torch.rand(1, 8, 4, 16), torch.rand(1, 8, 4, 16), 6, groups=4).shape
+    torch.Size([1, 4, 6, 4, 16])
+    """
+    check_features(left, right, levels)
+    batch, channels = left.shape[:2]
+    if groups < 1 or channels % groups:
+        raise InputError(f"{groups} groups do not divide {channels} channels")
+    left, right = (rearrange(x, "b (g c) h w -> (b g) c h w", g=groups) for x in (left, right))
+    if normalise:
+        volume = inner_products(_normalise(left), _normalise(right), levels)
+    else:
+        volume = inner_products(left, right, levels) / (channels // groups)
+    return rearrange(volume, "(b g) d h w -> b g d h w", b=batch)
+
+
+def _normalise(x: Tensor) -> Tensor:
+    # autocast would take the norm in half precision; the eps keeps all-zero features finite
+    return F.normalize(x.float() if x.dtype.itemsize == 2 else x, dim=1, eps=EPS).to(x.dtype)
+
+
+@COSTS.register("correlation")
+class CorrelationVolume(nn.Module):
+    """`correlation_volume` of projected features.
+
+    Args:
+        in_channels: of the features.
+        levels: of disparity.
+        projection: widths of the two convolutions before the comparison, None for none.
+
+    Shape: two (B, in_channels, H, W) to (B, 1, levels, H, W).
+
+    Source: CoEx, section "Matching cost computation".
+
+    >>> import torch
+    >>> cost = CorrelationVolume(in_channels=96, levels=48, projection=(48, 48))
+    >>> cost(torch.rand(1, 96, 8, 64), torch.rand(1, 96, 8, 64)).shape
+    torch.Size([1, 1, 48, 8, 64])
+    """
+
+    out_channels = 1
+
+    def __init__(self, *, in_channels: int, levels: int, projection: Sequence[int] | None = None) -> None:
+        super().__init__()
+        self.in_channels = in_channels
+        self.levels = levels
+        self.projection = Projection(in_channels, projection)
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """Left and right features to a cost volume."""
+        return correlation_volume(*self.projection(left, right), self.levels)
+
+
+@COSTS.register("groupwise_correlation")
+class GroupwiseCorrelationVolume(nn.Module):
+    """`groupwise_correlation_volume` of projected features.
+
+    Args:
+        in_channels: of the features.
+        levels: of disparity.
+        groups: divides the channels that are compared.
+        normalise: cosine similarity per group in place of the mean product.
+        projection: widths of the two convolutions before the comparison, None for none.
+
+    Shape: two (B, in_channels, H, W) to (B, groups, levels, H, W).
+
+    Raises:
+        ConfigError: the groups do not divide the channels.
+
+    Source: Guo et al., "Group-wise correlation stereo network", CVPR 2019.
+
+    >>> GroupwiseCorrelationVolume(in_channels=96, levels=48, groups=12).out_channels
+    12
+    """
+
+    def __init__(
+        self,
+        *,
+        in_channels: int,
+        levels: int,
+        groups: int = 8,
+        normalise: bool = False,
+        projection: Sequence[int] | None = None,
+    ) -> None:
+        super().__init__()
+        self.in_channels = in_channels
+        self.levels = levels
+        self.groups = self.out_channels = groups
+        self.normalise = normalise
+        self.projection = Projection(in_channels, projection)
+        channels = self.projection.out_channels
+        if groups < 1 or channels % groups:
+            fitting = [g for g in range(1, channels + 1) if channels % g == 0]
+            raise ConfigError(f"groups={groups} does not divide the {channels} channels compared; {fitting} would do")
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """Left and right features to a cost volume."""
+        left, right = self.projection(left, right)
+        return groupwise_correlation_volume(left, right, self.levels, self.groups, normalise=self.normalise)

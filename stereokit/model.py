@@ -1,0 +1,215 @@
+"""The network: one choice per slot."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+
+import torch
+from huggingface_hub import ModelHubMixin
+from huggingface_hub.errors import HFValidationError
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stereokit.contracts import (
+    Aggregation,
+    Backbone,
+    Cost,
+    Regression,
+    Upsampler,
+    check_contracts,
+    input_multiple,
+    regression_levels,
+)
+from stereokit.errors import CheckpointError, ConfigError, InputError
+from stereokit.regression.interpolation import bilinear_upsample
+
+if TYPE_CHECKING:
+    from stereokit.builder import ModelConfig
+
+__all__ = ["StereoModel", "StereoOutput"]
+
+MIN_SIZE = 32
+
+
+class StereoOutput(NamedTuple):
+    """What every network returns, in training and in eval mode alike."""
+
+    disparity: Tensor
+    """(B, H, W), pixels of the left image."""
+    auxiliary: tuple[Tensor, ...] = ()
+    """Further disparities (B, H, W) for the loss, coarsest first. Empty in eval mode."""
+    confidence: Tensor | None = None
+    """(B, H, W) in [0, 1]: the probability mass behind the estimate. None in training mode."""
+    logits: Tensor | None = None
+    """(B, D', H', W') of the best head, larger is better, of the padded input. None unless asked for."""
+
+
+class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="apache-2.0", tags=["stereo-matching"]):
+    """Left and right images to disparity, through a backbone, a cost, an aggregation, a regression and an upsampler.
+
+    `build_model` makes one by name. Images are RGB, uint8 or float in [0, 1], of any size from 32 x 32 up: they are
+    normalised and padded at the right and at the bottom inside, and the disparity is cut back to their size.
+
+    Args:
+        backbone, cost, aggregation, regression, upsampler: see `stereokit.contracts`.
+        max_disparity: D, in pixels; estimates lie in [0, D).
+        mean, std: of the RGB channels, for normalisation.
+        padding: of the images up to a multiple of `self.multiple`: their "replicate"d edge, or "zeros" after
+            normalisation as published.
+
+    Attributes:
+        config: what `build_model` built the network from, see `ModelConfig`.
+
+    Raises:
+        ConfigError: neighbouring blocks do not fit.
+
+    >>> from stereokit import build_model
+    >>> model = build_model("coex", max_disparity=64).eval()
+    >>> left = right = torch.rand(1, 3, 50, 70)
+    >>> model(left, right).disparity.shape
+    torch.Size([1, 50, 70])
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(
+        self,
+        *,
+        backbone: Backbone,
+        cost: Cost,
+        aggregation: Aggregation,
+        regression: Regression,
+        upsampler: Upsampler,
+        max_disparity: int,
+        mean: Sequence[float],
+        std: Sequence[float],
+        padding: Literal["replicate", "zeros"] = "replicate",
+    ) -> None:
+        super().__init__()
+        check_contracts(
+            backbone=backbone,
+            cost=cost,
+            aggregation=aggregation,
+            regression=regression,
+            upsampler=upsampler,
+            max_disparity=max_disparity,
+        )
+        if padding not in ("replicate", "zeros"):
+            raise ConfigError(f"padding={padding!r} is unknown; 'replicate' or 'zeros' would do")
+        self.backbone = backbone
+        self.cost = cost
+        self.aggregation = aggregation
+        self.regression = regression
+        self.upsampler = upsampler
+        self.max_disparity = max_disparity
+        self.padding = padding
+        self.config: ModelConfig | None = None
+        self.multiple = input_multiple(backbone, aggregation)
+        self.pixels_per_level = max_disparity // regression_levels(max_disparity, upsampler.scale, upsampler)
+        self.register_buffer("mean", torch.tensor(mean).reshape(3, 1, 1), persistent=False)
+        self.register_buffer("std", torch.tensor(std).reshape(3, 1, 1), persistent=False)
+
+    @property
+    def auxiliary_weights(self) -> tuple[float, ...]:
+        """The weight in the loss of each auxiliary disparity; that of the final one is 1."""
+        coarse = (0.3,) if self.upsampler.learned else ()
+        return (*self.aggregation.auxiliary_weights, *coarse)
+
+    def forward(self, left: Tensor, right: Tensor, *, return_logits: bool = False) -> StereoOutput:
+        """Left and right images (B, 3, H, W) to disparity.
+
+        Raises:
+            InputError: the images are not a pair of RGB batches of at least 32 x 32.
+        """
+        self._check_images(left, right)
+        height, width = left.shape[-2:]
+        images = self._pad(self._normalise(torch.cat((left, right))))
+
+        features = self.backbone(images)
+        left_features, right_features = features.matching.chunk(2)
+        guides = self._left_guides(features.guides)
+        volume = self.cost(left_features, right_features)
+        heads = self.aggregation(volume, guides)
+        coarse, full = zip(*(self._regress(logits, guides) for logits in heads), strict=True)
+
+        disparity = full[-1][:, :height, :width]
+        if self.training:
+            auxiliary = list(full[:-1])
+            if self.upsampler.learned:
+                auxiliary.append(bilinear_upsample(coarse[-1], self.upsampler.scale))
+            cropped = tuple(a[:, :height, :width] for a in auxiliary)
+            confidence = None
+        else:
+            cropped = ()
+            confidence = self._confidence(heads[-1])[:, :height, :width]
+        return StereoOutput(disparity, cropped, confidence, heads[-1] if return_logits else None)
+
+    def _save_pretrained(self, save_directory: Path) -> None:
+        save_folder(self, save_directory)
+
+    @classmethod
+    def from_pretrained(cls, folder_or_id: str | Path, **hub_arguments: Any) -> "StereoModel":  # type: ignore[override]
+        """Loads a network that `save_pretrained` wrote.
+
+        Args:
+            folder_or_id: a folder here, or a repository of the Hugging Face hub.
+            hub_arguments: `revision`, `cache_dir`, `token`, .. of `huggingface_hub`.
+
+        Raises:
+            CheckpointError: there is no such network, or its files are damaged.
+        """
+        try:
+            return cast(StereoModel, super().from_pretrained(folder_or_id, **hub_arguments))
+        except (OSError, HFValidationError, json.JSONDecodeError) as error:
+            reason = str(error).strip().splitlines()[0]
+            raise CheckpointError(f"no saved network to read at {str(folder_or_id)!r}: {reason}") from error
+
+    @classmethod
+    def _from_pretrained(  # type: ignore[override]
+        cls, *, model_id: str, config: dict[str, Any] | None = None, **hub_arguments: Any
+    ) -> "StereoModel":
+        return load_folder(model_id, config, **hub_arguments)
+
+    def _normalise(self, images: Tensor) -> Tensor:
+        if images.dtype == torch.uint8:
+            images = images / 255
+        return (images.to(self.mean.dtype) - self.mean) / self.std
+
+    def _pad(self, images: Tensor) -> Tensor:
+        height, width = images.shape[-2:]
+        right_and_bottom = (0, -width % self.multiple, 0, -height % self.multiple)
+        return F.pad(images, right_and_bottom, mode="constant" if self.padding == "zeros" else "replicate")
+
+    def _left_guides(self, guides: dict[int, Tensor]) -> dict[int, Tensor]:
+        """The guides of the left half of the batch; those coarser than the backbone gives are averaged."""
+        left = {stride: guide.chunk(2)[0] for stride, guide in guides.items()}
+        coarsest = self.backbone.info.coarsest_guide
+        for stride in self.aggregation.guide_channels:
+            if stride not in left:
+                left[stride] = F.avg_pool2d(left[coarsest], stride // coarsest)
+        return left
+
+    def _regress(self, logits: Tensor, guides: dict[int, Tensor]) -> tuple[Tensor, Tensor]:
+        """Logits to disparity in pixels, at the stride of the regression and at full resolution."""
+        if self.upsampler.domain == "volume":
+            disparity = self.regression(self.upsampler(logits, guides)) * self.pixels_per_level
+            return disparity, disparity
+        disparity = self.regression(logits) * self.pixels_per_level
+        return disparity, self.upsampler(disparity, guides)
+
+    def _confidence(self, logits: Tensor) -> Tensor:
+        return bilinear_upsample(self.regression.confidence(logits), self.upsampler.scale)
+
+    def _check_images(self, left: Tensor, right: Tensor) -> None:
+        for name, image in (("left", left), ("right", right)):
+            if image.dim() != 4 or image.shape[1] != 3:
+                raise InputError(f"the {name} images are RGB, (B, 3, H, W); got {tuple(image.shape)}")
+            if image.dtype != torch.uint8 and not image.is_floating_point():
+                raise InputError(f"the {name} images are uint8, or float in [0, 1]; got {image.dtype}")
+        if left.shape != right.shape:
+            raise InputError(f"left and right differ in size: {tuple(left.shape)} and {tuple(right.shape)}")
+        if min(left.shape[-2:]) < MIN_SIZE:
+            height, width = left.shape[-2:]
+            raise InputError(f"images are at least {MIN_SIZE} x {MIN_SIZE} pixels; got {height} x {width}")

@@ -1,0 +1,107 @@
+"""Upsampling by interpolation: of the disparity, or of the logits before the regression."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stereokit.contracts import Guides
+from stereokit.registry import UPSAMPLERS
+
+__all__ = ["BilinearUpsampler", "NoUpsampler", "TrilinearUpsampler", "bilinear_upsample", "trilinear_upsample"]
+
+
+def bilinear_upsample(disparity: Tensor, scale: int) -> Tensor:
+    """Disparity (B, h, w) to (B, h * scale, w * scale); values are not scaled.
+
+    >>> import torch
+    >>> bilinear_upsample(torch.full((1, 2, 3), 7.0), 4).unique()
+    tensor([7.])
+    """
+    return F.interpolate(disparity.unsqueeze(1), scale_factor=scale, mode="bilinear", align_corners=False).squeeze(1)
+
+
+def trilinear_upsample(logits: Tensor, scale: int) -> Tensor:
+    """Logits (B, D, h, w) to (B, D * scale, h * scale, w * scale).
+
+    >>> import torch
+    >>> trilinear_upsample(torch.rand(1, 6, 2, 3), 4).shape
+    torch.Size([1, 24, 8, 12])
+    """
+    return F.interpolate(logits.unsqueeze(1), scale_factor=scale, mode="trilinear", align_corners=False).squeeze(1)
+
+
+class _Interpolation(nn.Module):
+    learned = False
+
+    def __init__(self, *, scale: int) -> None:
+        super().__init__()
+        self.scale = scale
+        self.guide_channels: Mapping[int, int] = {}
+
+    def extra_repr(self) -> str:
+        """The factor, for printing."""
+        return f"scale={self.scale}"
+
+
+@UPSAMPLERS.register("bilinear")
+class BilinearUpsampler(_Interpolation):
+    """`bilinear_upsample` of the disparity; the guides are not used.
+
+    Args:
+        scale: the stride of the disparity.
+
+    >>> import torch
+    >>> BilinearUpsampler(scale=4)(torch.rand(1, 2, 3), {}).shape
+    torch.Size([1, 8, 12])
+    """
+
+    domain: Literal["disparity"] = "disparity"
+
+    def forward(self, x: Tensor, guides: Guides) -> Tensor:
+        """(B, h, w) to (B, H, W)."""
+        return bilinear_upsample(x, self.scale)
+
+
+@UPSAMPLERS.register("trilinear")
+class TrilinearUpsampler(_Interpolation):
+    """`trilinear_upsample` of the logits, before the regression; the guides are not used.
+
+    Args:
+        scale: the stride of the logits.
+
+    Source: Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, section 3.4.
+
+    >>> import torch
+    >>> TrilinearUpsampler(scale=4)(torch.rand(1, 6, 2, 3), {}).shape
+    torch.Size([1, 24, 8, 12])
+    """
+
+    domain: Literal["volume"] = "volume"
+
+    def forward(self, x: Tensor, guides: Guides) -> Tensor:
+        """(B, D, h, w) to (B, D * scale, H, W)."""
+        return trilinear_upsample(x, self.scale)
+
+
+@UPSAMPLERS.register("none")
+class NoUpsampler(nn.Module):
+    """For logits at full resolution: leaves the disparity as it is.
+
+    >>> import torch
+    >>> NoUpsampler()(torch.ones(1, 1, 2), {})
+    tensor([[[1., 1.]]])
+    """
+
+    scale = 1
+    domain: Literal["disparity"] = "disparity"
+    learned = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.guide_channels: Mapping[int, int] = {}
+
+    def forward(self, x: Tensor, guides: Guides) -> Tensor:
+        """(B, H, W), unchanged."""
+        return x

@@ -1,0 +1,185 @@
+"""Disparity from a distribution over candidates: soft-argmin and its top-k form."""
+
+import torch
+from torch import Tensor, nn
+
+from stereokit.errors import ConfigError, InputError
+from stereokit.registry import REGRESSIONS
+
+__all__ = ["SoftArgmin", "TopKSoftArgmin", "soft_argmin", "top_k_mass", "top_k_soft_argmin"]
+
+
+def soft_argmin(logits: Tensor, candidates: Tensor | None = None) -> Tensor:
+    r"""Expected candidate under the softmax of the logits.
+
+    .. math:: \hat d = \sum_d x_d\, \mathrm{softmax}(c)_d
+
+    The name is that of GC-Net, whose costs are lower for better matches; logits here are larger for better ones.
+
+    Args:
+        logits: c, (B, D, H, W).
+        candidates: x, (D,) or broadcastable to the logits; 0, 1, .., D - 1 by default.
+
+    Returns:
+        (B, H, W), in the unit of the candidates; float32 or, for float64 logits, float64.
+
+    Raises:
+        InputError: the logits do not have four dimensions.
+
+    Source: Kendall et al., "End-to-end learning of geometry and context for deep stereo regression", ICCV 2017,
+    section 3.4.
+
+    >>> soft_argmin(torch.tensor([0.0, 9.0, 9.0, 0.0]).reshape(1, 4, 1, 1)).item()
+    1.5
+    """
+    _check_logits(logits)
+    probability = _softmax(logits)
+    return (probability * _candidates(logits, candidates)).sum(1)
+
+
+def top_k_soft_argmin(logits: Tensor, k: int, candidates: Tensor | None = None) -> Tensor:
+    r"""Expected candidate under the softmax of the k largest logits alone.
+
+    .. math:: \hat d = \sum_{d \in K} x_d\, \mathrm{softmax}_{d \in K}(c)_d, \quad K = \text{the } k \text{ largest}
+
+    With k = D it is `soft_argmin`, with k = 1 the argmax, whose gradient is 0.
+
+    Args:
+        logits: c, (B, D, H, W).
+        k: from 1 to D.
+        candidates: x, (D,) or broadcastable to the logits; 0, 1, .., D - 1 by default.
+
+    Returns:
+        (B, H, W), in the unit of the candidates; float32 or, for float64 logits, float64.
+
+    Raises:
+        InputError: k is out of range, or the logits do not have four dimensions.
+
+    Source: CoEx, section "Top-k disparity regression".
+
+    >>> top_k_soft_argmin(torch.tensor([8.0, 1.0, 9.0, 9.0]).reshape(1, 4, 1, 1), k=2).item()
+    2.5
+    """
+    _check_logits(logits)
+    _check_k(k, logits.shape[1])
+    if k == logits.shape[1]:
+        return soft_argmin(logits, candidates)
+    kept, index = logits.topk(k, dim=1)
+    values = index if candidates is None else _candidates(logits, candidates).expand_as(logits).gather(1, index)
+    return (_softmax(kept) * values).sum(1)
+
+
+def top_k_mass(logits: Tensor, k: int) -> Tensor:
+    """Share of the softmax over all candidates that the k largest hold.
+
+    Args:
+        logits: (B, D, H, W).
+        k: from 1 to D.
+
+    Returns:
+        (B, H, W), from k / D (nothing stands out) to 1 (all on the kept ones).
+
+    Raises:
+        InputError: k is out of range, or the logits do not have four dimensions.
+
+    >>> top_k_mass(torch.zeros(1, 8, 1, 1), k=2).item()
+    0.25
+    """
+    _check_logits(logits)
+    _check_k(k, logits.shape[1])
+    logits = _at_least_float32(logits)
+    kept = logits.topk(k, dim=1).values
+    return (kept.logsumexp(1) - logits.logsumexp(1)).exp().clamp(max=1)
+
+
+@REGRESSIONS.register("soft_argmin")
+class SoftArgmin(nn.Module):
+    """`soft_argmin` as a module.
+
+    Source: Kendall et al., ICCV 2017, section 3.4.
+
+    >>> SoftArgmin()(torch.rand(2, 48, 8, 16)).shape
+    torch.Size([2, 8, 16])
+    """
+
+    min_levels = 1
+
+    def forward(self, logits: Tensor, candidates: Tensor | None = None) -> Tensor:
+        """(B, D, H, W) to (B, H, W)."""
+        return soft_argmin(logits, candidates)
+
+    def confidence(self, logits: Tensor) -> Tensor:
+        """Probability mass of the four candidates nearest to the estimate, (B, H, W).
+
+        All of the mass is kept by a soft-argmin, so what lies near the estimate is counted in its place: low where the
+        distribution has several peaks or is flat. Source: Yao et al., "MVSNet", ECCV 2018, section 4.2.
+        """
+        level = torch.arange(logits.shape[1], device=logits.device).reshape(-1, 1, 1)
+        probability = _softmax(logits)
+        estimate = (probability * level).sum(1, keepdim=True)
+        near = (level - estimate.floor() - 0.5).abs() < 2
+        return (probability * near).sum(1).clamp(max=1)
+
+
+@REGRESSIONS.register("top_k")
+class TopKSoftArgmin(nn.Module):
+    """`top_k_soft_argmin` as a module.
+
+    Args:
+        k: candidates kept, from 1 to the number of levels.
+        test_k: candidates kept in eval mode; None for k.
+
+    Raises:
+        ConfigError: k or test_k is not a positive whole number.
+
+    Source: CoEx, section "Top-k disparity regression".
+
+    >>> TopKSoftArgmin(k=2)(torch.rand(2, 48, 8, 16)).shape
+    torch.Size([2, 8, 16])
+    """
+
+    def __init__(self, k: int = 2, *, test_k: int | None = None) -> None:
+        super().__init__()
+        for name, value in (("k", k), ("test_k", test_k)):
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+                raise ConfigError(f"{name}={value!r} is not a whole number from 1 to the number of levels")
+        self.k = k
+        self.test_k = k if test_k is None else test_k
+        self.min_levels = max(self.k, self.test_k)
+
+    def forward(self, logits: Tensor, candidates: Tensor | None = None) -> Tensor:
+        """(B, D, H, W) to (B, H, W)."""
+        return top_k_soft_argmin(logits, self.k if self.training else self.test_k, candidates)
+
+    def confidence(self, logits: Tensor) -> Tensor:
+        """`top_k_mass`: the probability mass of the candidates that are kept, (B, H, W)."""
+        return top_k_mass(logits, self.k if self.training else self.test_k)
+
+    def extra_repr(self) -> str:
+        """The numbers of candidates, for printing."""
+        return f"k={self.k}, test_k={self.test_k}"
+
+
+def _at_least_float32(x: Tensor) -> Tensor:
+    # bfloat16 has steps of half a pixel at 100: distributions and disparities are never in half precision
+    return x.float() if x.dtype.itemsize == 2 else x
+
+
+def _softmax(logits: Tensor) -> Tensor:
+    return _at_least_float32(logits).softmax(1)
+
+
+def _candidates(logits: Tensor, candidates: Tensor | None) -> Tensor:
+    if candidates is None:
+        candidates = torch.arange(logits.shape[1], device=logits.device)
+    return candidates.reshape(-1, 1, 1) if candidates.dim() == 1 else candidates
+
+
+def _check_logits(logits: Tensor) -> None:
+    if logits.dim() != 4:
+        raise InputError(f"logits are (B, D, H, W); got {tuple(logits.shape)}")
+
+
+def _check_k(k: int, levels: int) -> None:
+    if not 1 <= k <= levels:
+        raise InputError(f"k={k} is outside 1..{levels}, the number of disparity levels")
