@@ -1,0 +1,62 @@
+"""Files that appear whole or not at all."""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from stereokit.errors import InputError
+
+__all__ = ["atomic_path"]
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
+    """A temporary file name that becomes `path` when the block ends without an error.
+
+    The temporary lies in the folder of `path` and has its suffix, so writers that choose a format by the
+    suffix work. When the block raises, the temporary is removed and `path` is as it was. A symbolic link is
+    followed.
+
+    Args:
+        path: the file to write.
+        overwrite: replace an existing file.
+
+    Yields:
+        The temporary path, which does not exist yet.
+
+    Raises:
+        InputError: `path` exists and `overwrite` is False, it is no regular file, its folder does not
+            exist, or the file can't be written.
+
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> with atomic_path(folder / "note.txt") as temporary:
+    ...     _ = temporary.write_text("whole")
+    >>> (folder / "note.txt").read_text()
+    'whole'
+    """
+    target = Path(os.path.realpath(path))
+    _check_target(target, path, overwrite=overwrite)
+    temporary = target.with_name(f".{target.stem[:64]}.{secrets.token_hex(6)}{target.suffix}")
+    try:
+        yield temporary
+        _check_target(target, path, overwrite=overwrite)
+        temporary.replace(target)
+    except OSError as error:
+        raise InputError(f"{os.fspath(path)!r} can't be written: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _check_target(target: Path, given: str | os.PathLike[str], *, overwrite: bool) -> None:
+    name = os.fspath(given)
+    if not target.parent.is_dir():
+        raise InputError(
+            f"{name!r} can't be written: the folder {os.fspath(Path(given).parent)!r} does not exist"
+        )
+    if target.exists() and not target.is_file():
+        raise InputError(f"{name!r} can't be written: it exists and is not a regular file")
+    if target.exists() and not overwrite:
+        raise InputError(f"{name!r} exists already; choose another name, or say overwrite=True to replace it")
