@@ -15,5 +15,38 @@ from stereokit.costs import ConcatenationVolume, CorrelationVolume, GroupwiseCor
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.model import StereoModel, StereoOutput
 from stereokit.models import coex, gcnet, psmnet
+from stereokit.published import load_published
 from stereokit.registry import list_components, list_models
 from stereokit.regression import SoftArgmin, SuperpixelUpsampler, TopKSoftArgmin
+
+__all__ = [
+    "GCE",
+    "AdditiveGuidance",
+    "CheckpointError",
+    "ConcatenationVolume",
+    "ConfigError",
+    "CorrelationVolume",
+    "EncoderDecoder",
+    "GroupwiseCorrelationVolume",
+    "Hourglass",
+    "InputError",
+    "NeighborhoodAggregation",
+    "ResidualTower",
+    "SoftArgmin",
+    "SpatialPyramid",
+    "StackedHourglass",
+    "StereoKitError",
+    "StereoModel",
+    "StereoOutput",
+    "SuperpixelUpsampler",
+    "TopKSoftArgmin",
+    "UNet",
+    "__version__",
+    "build_model",
+    "coex",
+    "gcnet",
+    "list_components",
+    "list_models",
+    "load_published",
+    "psmnet",
+]

@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Mapping
-from typing import Any, Literal, TypeAlias, TypedDict, Union, cast
+from typing import Any, Literal, TypeAlias, TypedDict, cast
 
 from torch import nn
 
 from stereokit.backbones.encoder import is_timm_model
 from stereokit.contracts import FeatureInfo, GuidanceFactory, check_max_disparity
 from stereokit.errors import ConfigError
+from stereokit.model import StereoModel
 from stereokit.registry import (
     AGGREGATIONS,
     BACKBONES,
@@ -20,14 +21,13 @@ from stereokit.registry import (
     Registry,
     suggest,
 )
-from stereokit.model import StereoModel
 
 __all__ = ["Component", "ModelConfig", "Override", "Presets", "build_model", "compose"]
 
 Component: TypeAlias = dict[str, Any]
 """``{"name": .., **arguments}``"""
 
-Override: TypeAlias = Union[str, Component, nn.Module]
+Override: TypeAlias = str | Component | nn.Module
 """A component's name, its name with arguments, or the block itself."""
 
 Presets: TypeAlias = Mapping[str, Mapping[str, Component]]
@@ -105,9 +105,7 @@ def build_model(model: str | Mapping[str, Any], **overrides: Any) -> Any:
     return MODELS.get(name)(**{**settings, **overrides})
 
 
-def compose(
-    recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any]
-) -> StereoModel:
+def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any]) -> StereoModel:
     """Builds the network of a recipe with some of its choices overridden.
 
     Args:
@@ -141,9 +139,7 @@ def compose(
         guidance_at=choice["guidance_at"],
     )
     regression = slots["regression"].build()
-    upsampler = slots["upsampler"].build(
-        scale=stride // aggregation.upscale, guide_channels=dict(info.guide_channels)
-    )
+    upsampler = slots["upsampler"].build(scale=stride // aggregation.upscale, guide_channels=dict(info.guide_channels))
     model = StereoModel(
         backbone=backbone,
         cost=cost,
@@ -179,8 +175,8 @@ class _Slot:
             )
         if "instance" in given:
             raise ConfigError(
-                f"the configuration was made with a {slot} of {given['instance']} that was passed in as a module, which "
-                f"JSON can't rebuild; pass it again, {slot}=.., or register the class and pass its name"
+                f"the configuration was made with a {slot} of {given['instance']} that was passed in as a module, "
+                f"which JSON can't rebuild; pass it again, {slot}=.., or register the class and pass its name"
             )
         arguments = dict(given)
         name = arguments.pop("name", default["name"])
@@ -255,4 +251,6 @@ def _as_json(config: dict[str, Any]) -> Any:
     try:
         return json.loads(json.dumps(config))
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"the arguments of components are plain JSON values, so that a network can be saved: {error}") from error
+        raise ConfigError(
+            f"the arguments of components are plain JSON values, so that a network can be saved: {error}"
+        ) from error

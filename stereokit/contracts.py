@@ -10,7 +10,7 @@ fits. Strides are in pixels of the padded input: a map of stride 4 has a quarter
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -152,7 +152,7 @@ class Upsampler(Protocol):
     guide_channels: Mapping[int, int]
 
     def __call__(self, x: Tensor, guides: Guides) -> Tensor:
-        """"volume": (B, D, h, w) to (B, D * scale, H, W); "disparity": (B, h, w) to (B, H, W), values unchanged."""
+        """Logits (B, D, h, w) to (B, D * scale, H, W), or disparity (B, h, w) to (B, H, W), its values unchanged."""
 
 
 def check_contracts(
@@ -195,9 +195,18 @@ def check_contracts(
             f"{names['backbone']} wants {max_disparity // stride}"
         )
     same("cost", cost.out_channels, "aggregation", aggregation.in_channels, "volume channels:")
-    for taker, wanted in (("aggregation", aggregation.guide_channels), ("upsampler", upsampler.guide_channels)):
+    for taker, wanted in (
+        ("aggregation", aggregation.guide_channels),
+        ("upsampler", upsampler.guide_channels),
+    ):
         for guide_stride, channels in wanted.items():
-            same("backbone", info.channels_at(guide_stride), taker, channels, f"guide channels at stride {guide_stride}:")
+            same(
+                "backbone",
+                info.channels_at(guide_stride),
+                taker,
+                channels,
+                f"guide channels at stride {guide_stride}:",
+            )
     out_stride, remainder = divmod(stride, aggregation.upscale)
     if remainder:
         raise ConfigError(

@@ -65,7 +65,14 @@ class ConvNormAct(nn.Sequential):
         padding = dilation * (kernel_size - 1) // 2
         extra = {"output_padding": kernel_size % 2} if transposed else {}
         conv = _CONV[dims, transposed](
-            in_channels, out_channels, kernel_size, stride=stride, padding=padding, dilation=dilation, bias=False, **extra
+            in_channels,
+            out_channels,
+            kernel_size,
+            stride=stride,
+            padding=padding,
+            dilation=dilation,
+            bias=False,
+            **extra,
         )
         init_convolutions(conv)
         layers: list[nn.Module] = [conv, _NORM[dims](out_channels)]
@@ -79,8 +86,9 @@ def crop_to(x: Tensor, like: Tensor) -> Tensor:
 
     Halving an odd size n gives (n + 1) / 2, and doubling that gives n + 1: one row too many.
     """
-    spatial = tuple(slice(0, size) for size in like.shape[2:])
-    return x[(..., *spatial)]
+    for dim in range(2, like.dim()):
+        x = x.narrow(dim, 0, like.shape[dim])
+    return x
 
 
 def init_convolutions(module: nn.Module) -> None:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 from huggingface_hub import ModelHubMixin
@@ -22,6 +22,7 @@ from stereokit.contracts import (
     regression_levels,
 )
 from stereokit.errors import CheckpointError, ConfigError, InputError
+from stereokit.pretrained import load_folder, save_folder
 from stereokit.regression.interpolation import bilinear_upsample
 
 if TYPE_CHECKING:
@@ -132,19 +133,25 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         guides = self._left_guides(features.guides)
         volume = self.cost(left_features, right_features)
         heads = self.aggregation(volume, guides)
-        coarse, full = zip(*(self._regress(logits, guides) for logits in heads), strict=True)
+        distributions = [self._upsample("volume", logits, guides) for logits in heads]
+        coarse = [self.regression(logits) * self.pixels_per_level for logits in distributions]
+        full = [self._upsample("disparity", disparity, guides) for disparity in coarse]
 
-        disparity = full[-1][:, :height, :width]
+        auxiliary: list[Tensor] = []
+        confidence = None
         if self.training:
-            auxiliary = list(full[:-1])
+            auxiliary = full[:-1]
             if self.upsampler.learned:
-                auxiliary.append(bilinear_upsample(coarse[-1], self.upsampler.scale))
-            cropped = tuple(a[:, :height, :width] for a in auxiliary)
-            confidence = None
+                auxiliary.append(self._enlarge(coarse[-1], images))
         else:
-            cropped = ()
-            confidence = self._confidence(heads[-1])[:, :height, :width]
-        return StereoOutput(disparity, cropped, confidence, heads[-1] if return_logits else None)
+            confidence = self._enlarge(self.regression.confidence(distributions[-1]), images)
+            confidence = confidence[:, :height, :width]
+        return StereoOutput(
+            disparity=full[-1][:, :height, :width],
+            auxiliary=tuple(disparity[:, :height, :width] for disparity in auxiliary),
+            confidence=confidence,
+            logits=heads[-1] if return_logits else None,
+        )
 
     def _save_pretrained(self, save_directory: Path) -> None:
         save_folder(self, save_directory)
@@ -161,13 +168,13 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
             CheckpointError: there is no such network, or its files are damaged.
         """
         try:
-            return cast(StereoModel, super().from_pretrained(folder_or_id, **hub_arguments))
+            return super().from_pretrained(folder_or_id, **hub_arguments)
         except (OSError, HFValidationError, json.JSONDecodeError) as error:
             reason = str(error).strip().splitlines()[0]
             raise CheckpointError(f"no saved network to read at {str(folder_or_id)!r}: {reason}") from error
 
     @classmethod
-    def _from_pretrained(  # type: ignore[override]
+    def _from_pretrained(
         cls, *, model_id: str, config: dict[str, Any] | None = None, **hub_arguments: Any
     ) -> "StereoModel":
         return load_folder(model_id, config, **hub_arguments)
@@ -191,16 +198,12 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
                 left[stride] = F.avg_pool2d(left[coarsest], stride // coarsest)
         return left
 
-    def _regress(self, logits: Tensor, guides: dict[int, Tensor]) -> tuple[Tensor, Tensor]:
-        """Logits to disparity in pixels, at the stride of the regression and at full resolution."""
-        if self.upsampler.domain == "volume":
-            disparity = self.regression(self.upsampler(logits, guides)) * self.pixels_per_level
-            return disparity, disparity
-        disparity = self.regression(logits) * self.pixels_per_level
-        return disparity, self.upsampler(disparity, guides)
+    def _upsample(self, domain: Literal["volume", "disparity"], x: Tensor, guides: dict[int, Tensor]) -> Tensor:
+        """The upsampler acts before the regression, on logits, or after it, on disparities."""
+        return self.upsampler(x, guides) if self.upsampler.domain == domain else x
 
-    def _confidence(self, logits: Tensor) -> Tensor:
-        return bilinear_upsample(self.regression.confidence(logits), self.upsampler.scale)
+    def _enlarge(self, x: Tensor, images: Tensor) -> Tensor:
+        return bilinear_upsample(x, images.shape[-1] // x.shape[-1])
 
     def _check_images(self, left: Tensor, right: Tensor) -> None:
         for name, image in (("left", left), ("right", right)):

@@ -1,18 +1,95 @@
-"""Weights: saved networks, and published checkpoints turned into ours."""
+"""Networks saved with their weights: a folder with `config.json` and `model.safetensors`."""
 
 import json
+import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
 from huggingface_hub import hf_hub_download
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 from stereokit._version import __version__
+from stereokit.data.atomic import atomic_path
 from stereokit.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:
     from stereokit.model import StereoModel
 
-WEIGHTS_NAME = "model.safetensors"
+__all__ = ["CONFIG_NAME", "WEIGHTS_NAME", "load_folder", "load_state", "save_folder"]
+
 CONFIG_NAME = "config.json"
+WEIGHTS_NAME = "model.safetensors"
+
+
+def save_folder(model: "StereoModel", folder: Path) -> None:
+    """Writes the configuration and the weights of a network; each file appears whole or not at all.
+
+    Raises:
+        ConfigError: a block of the network was passed in as a module, so that its configuration can't rebuild it.
+    """
+    config = model.config
+    if config is None:
+        raise ConfigError("this network was not made by build_model: it has no configuration to save")
+    foreign = [slot for slot, choice in config.items() if isinstance(choice, dict) and "instance" in choice]
+    if foreign:
+        raise ConfigError(
+            f"the {' and '.join(foreign)} of this network was passed in as a module, which a configuration can't "
+            "rebuild; register its class and build the network with its name, or save model.state_dict()"
+        )
+    with atomic_path(folder / WEIGHTS_NAME, overwrite=True) as temporary:
+        save_file({k: v.contiguous() for k, v in model.state_dict().items()}, temporary)
+    with atomic_path(folder / CONFIG_NAME, overwrite=True) as temporary:
+        temporary.write_text(json.dumps({"stereokit": __version__, "network": config}, indent=2) + "\n")
+
+
+def load_folder(folder_or_id: str, config: Mapping[str, Any] | None, **hub_arguments: Any) -> "StereoModel":
+    """Builds the network that a configuration describes and loads its weights, in eval mode.
+
+    Args:
+        folder_or_id: a folder, or a repository of the Hugging Face hub.
+        config: the content of its `config.json`.
+        hub_arguments: of `huggingface_hub.hf_hub_download`.
+
+    Raises:
+        CheckpointError: the configuration or the weights are missing, damaged or of different networks.
+    """
+    # the builder imports the model, which imports this module
+    from stereokit.builder import build_model
+
+    if not isinstance(config, Mapping) or not isinstance(config.get("network"), Mapping):
+        raise CheckpointError(f"{folder_or_id!r} holds no {CONFIG_NAME} of a stereokit network")
+    path = os.path.join(folder_or_id, WEIGHTS_NAME)
+    if not os.path.isdir(folder_or_id):
+        path = hf_hub_download(folder_or_id, WEIGHTS_NAME, **hub_arguments)
+    try:
+        state = load_file(path)
+    except (OSError, SafetensorError) as error:
+        raise CheckpointError(f"the weights {path!r} can't be read: {error}") from error
+    model: StereoModel = build_model(config["network"])
+    load_state(model, state, path)
+    return model.eval()
+
+
+def load_state(model: torch.nn.Module, state: Mapping[str, Tensor], source: str) -> None:
+    """Loads weights that must fit exactly.
+
+    Raises:
+        CheckpointError: keys are missing or unknown, or have other shapes; each is named.
+    """
+    wanted = model.state_dict()
+    problems = [
+        *(f"missing {key}" for key in wanted if key not in state),
+        *(f"unknown {key}" for key in state if key not in wanted),
+        *(
+            f"{key} has shape {tuple(state[key].shape)}, not {tuple(value.shape)}"
+            for key, value in wanted.items()
+            if key in state and state[key].shape != value.shape
+        ),
+    ]
+    if problems:
+        raise CheckpointError(f"{source!r} does not fit the network: {'; '.join(problems)}")
+    model.load_state_dict(dict(state))

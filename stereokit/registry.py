@@ -145,9 +145,7 @@ class Registry:
         defaults = {k: p.default for k, p in parameters.items() if p.default is not p.empty and k not in offered}
         return {**defaults, **arguments}
 
-    def _check(
-        self, name: str, arguments: Mapping[str, Any], parameters: Mapping[str, inspect.Parameter]
-    ) -> None:
+    def _check(self, name: str, arguments: Mapping[str, Any], parameters: Mapping[str, inspect.Parameter]) -> None:
         if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
             return
         for key in arguments:

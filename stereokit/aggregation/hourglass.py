@@ -19,7 +19,8 @@ class Down(nn.Module):
     def __init__(self, in_channels: int, out_channels: int, guidance: GuidancePoint) -> None:
         super().__init__()
         self.convs = nn.Sequential(
-            ConvNormAct(in_channels, out_channels, dims=3, stride=2), ConvNormAct(out_channels, out_channels, dims=3)
+            ConvNormAct(in_channels, out_channels, dims=3, stride=2),
+            ConvNormAct(out_channels, out_channels, dims=3),
         )
         self.guidance = guidance
 

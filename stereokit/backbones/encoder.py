@@ -36,7 +36,7 @@ class TimmEncoder(nn.Module):
         if missing:
             raise ConfigError(
                 f"timm model {name!r} has no features at stride {', '.join(missing)} (it has "
-                f"{', '.join(map(str, index))}); a convolutional pyramid such as 'mobilenetv2_100' or 'resnet18' would do"
+                f"{', '.join(map(str, index))}); a pyramid such as 'mobilenetv2_100' or 'resnet18' would do"
             )
         self.index = {s: index[s] for s in STRIDES}
         self.channels = {s: int(model.feature_info.channels()[i]) for s, i in self.index.items()}

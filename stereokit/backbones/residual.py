@@ -66,9 +66,7 @@ class ResidualTower(nn.Module):
     def __init__(self, *, channels: int = 32, blocks: int = 8) -> None:
         super().__init__()
         self.stem = ConvNormAct(3, channels, 5, stride=2, activation=relu)
-        self.blocks = nn.Sequential(
-            *(ResidualBlock(channels, channels, last_activation=relu) for _ in range(blocks))
-        )
+        self.blocks = nn.Sequential(*(ResidualBlock(channels, channels, last_activation=relu) for _ in range(blocks)))
         self.head = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
         init_convolutions(self.head)
         self.info = FeatureInfo(matching_channels=channels, matching_stride=2, guide_channels={2: channels})

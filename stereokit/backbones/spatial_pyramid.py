@@ -72,9 +72,7 @@ class SpatialPyramid(nn.Module):
             ConvNormAct(64 + 128 + 4 * 32, 128, activation=relu), nn.Conv2d(128, channels, 1, bias=False)
         )
         init_convolutions(self.fuse)
-        self.info = FeatureInfo(
-            matching_channels=channels, matching_stride=4, guide_channels={2: 32, 4: channels}
-        )
+        self.info = FeatureInfo(matching_channels=channels, matching_stride=4, guide_channels={2: 32, 4: channels})
 
     def forward(self, images: Tensor) -> Features:
         """Images to features."""

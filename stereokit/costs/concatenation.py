@@ -68,4 +68,5 @@ class ConcatenationVolume(nn.Module):
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Left and right features to a cost volume."""
-        return concatenation_volume(*self.projection(left, right), self.levels)
+        left, right = self.projection(left, right)
+        return concatenation_volume(left, right, self.levels)

@@ -11,7 +11,12 @@ from stereokit.costs.shift import check_features, inner_products
 from stereokit.errors import ConfigError, InputError
 from stereokit.registry import COSTS
 
-__all__ = ["CorrelationVolume", "GroupwiseCorrelationVolume", "correlation_volume", "groupwise_correlation_volume"]
+__all__ = [
+    "CorrelationVolume",
+    "GroupwiseCorrelationVolume",
+    "correlation_volume",
+    "groupwise_correlation_volume",
+]
 
 EPS = 1e-4
 
@@ -115,7 +120,8 @@ class CorrelationVolume(nn.Module):
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Left and right features to a cost volume."""
-        return correlation_volume(*self.projection(left, right), self.levels)
+        left, right = self.projection(left, right)
+        return correlation_volume(left, right, self.levels)
 
 
 @COSTS.register("groupwise_correlation")

@@ -17,7 +17,8 @@ def check_features(left: Tensor, right: Tensor, levels: int) -> None:
     """Raises `InputError` unless the maps are a pair and the number of levels is positive."""
     if left.dim() != 4 or left.shape != right.shape:
         raise InputError(
-            f"a cost volume wants two feature maps of one shape (B, C, H, W); got {tuple(left.shape)} and {tuple(right.shape)}"
+            f"a cost volume wants two feature maps of one shape (B, C, H, W); "
+            f"got {tuple(left.shape)} and {tuple(right.shape)}"
         )
     if levels < 1:
         raise InputError(f"a cost volume has at least 1 disparity level; got levels={levels}")
@@ -50,8 +51,9 @@ def inner_products(left: Tensor, right: Tensor, levels: int) -> Tensor:
     right_tiles = F.pad(right, (levels - 1, to_full_tiles)).unfold(-1, reach, tile)
     products = left_tiles @ rearrange(right_tiles, "n c h t r -> n h t c r")
     # row x of a tile needs columns x .. x + levels - 1: one element more per row moves each row to the same columns
-    skewed = F.pad(products.flatten(-2), (0, tile)).unflatten(-1, (tile, reach + 1))[..., :levels]
-    return rearrange(skewed.flip(-1), "n h t x d -> n d h (t x)")[..., :width]
+    rows = F.pad(products.flatten(-2), (0, tile))
+    band = rearrange(rows, "n h t (x r) -> n h t x r", x=tile)[..., :levels]
+    return rearrange(band.flip(-1), "n h t x d -> n d h (t x)")[..., :width]
 
 
 def shifted_stack(right: Tensor, levels: int) -> Tensor:

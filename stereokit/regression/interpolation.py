@@ -9,7 +9,13 @@ from torch.nn import functional as F
 from stereokit.contracts import Guides
 from stereokit.registry import UPSAMPLERS
 
-__all__ = ["BilinearUpsampler", "NoUpsampler", "TrilinearUpsampler", "bilinear_upsample", "trilinear_upsample"]
+__all__ = [
+    "BilinearUpsampler",
+    "NoUpsampler",
+    "TrilinearUpsampler",
+    "bilinear_upsample",
+    "trilinear_upsample",
+]
 
 
 def bilinear_upsample(disparity: Tensor, scale: int) -> Tensor:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Literal, get_args
 
 import torch
+from einops import rearrange
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -54,13 +55,13 @@ def superpixel_upsample(disparity: Tensor, weights: Tensor, *, padding: Padding 
     mode = "constant" if padding == "zeros" else "replicate"
     padded = F.pad(disparity.unsqueeze(1), (1, 1, 1, 1), mode=mode).squeeze(1)
     # cells as (h, s, w, s): each coarse value broadcasts over its own cell, and no map is enlarged nine times
-    cells = weights.unflatten(-1, (width, scale)).unflatten(-3, (height, scale))
+    cells = rearrange(weights, "b k (h sy) (w sx) -> b k h sy w sx", h=height, w=width)
     total = torch.zeros_like(cells[:, 0])
     for k in range(9):
         y, x = divmod(k, 3)
         neighbor = padded[:, y : y + height, x : x + width]
         total = torch.addcmul(total, cells[:, k], neighbor[:, :, None, :, None])
-    return total.flatten(-2).flatten(-3, -2)
+    return rearrange(total, "b h sy w sx -> b (h sy) (w sx)")
 
 
 @UPSAMPLERS.register("superpixel")
