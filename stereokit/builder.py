@@ -140,7 +140,8 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     )
     regression = slots["regression"].build()
     upsampler = slots["upsampler"].build(scale=stride // aggregation.upscale, guide_channels=dict(info.guide_channels))
-    model = StereoModel(
+    resolved = {**choice, **{slot: s.resolved for slot, s in slots.items()}}
+    return StereoModel(
         backbone=backbone,
         cost=cost,
         aggregation=aggregation,
@@ -150,10 +151,8 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
         mean=choice["mean"],
         std=choice["std"],
         padding=choice["padding"],
+        config=_as_json(resolved),
     )
-    resolved = {**choice, **{slot: s.resolved for slot, s in slots.items()}}
-    model.config = cast(ModelConfig, _as_json(resolved))
-    return model
 
 
 class _Slot:

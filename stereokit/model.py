@@ -58,9 +58,7 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         mean, std: of the RGB channels, for normalisation.
         padding: of the images up to a multiple of `self.multiple`: their "replicate"d edge, or "zeros" after
             normalisation as published.
-
-    Attributes:
-        config: what `build_model` built the network from, see `ModelConfig`.
+        config: what rebuilds the network, see `ModelConfig`.
 
     Raises:
         ConfigError: neighbouring blocks do not fit.
@@ -87,6 +85,7 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         mean: Sequence[float],
         std: Sequence[float],
         padding: Literal["replicate", "zeros"] = "replicate",
+        config: "ModelConfig | None" = None,
     ) -> None:
         super().__init__()
         check_contracts(
@@ -106,11 +105,22 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         self.upsampler = upsampler
         self.max_disparity = max_disparity
         self.padding = padding
-        self.config: ModelConfig | None = None
+        self._config = config
         self.multiple = input_multiple(backbone, aggregation)
         self.pixels_per_level = max_disparity // regression_levels(max_disparity, upsampler.scale, upsampler)
         self.register_buffer("mean", torch.tensor(mean).reshape(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(std).reshape(3, 1, 1), persistent=False)
+
+    @property
+    def config(self) -> "ModelConfig":
+        """What `build_model` built the network from.
+
+        Raises:
+            ConfigError: the network was composed by hand.
+        """
+        if self._config is None:
+            raise ConfigError("this network was not made by build_model: it has no configuration")
+        return self._config
 
     @property
     def auxiliary_weights(self) -> tuple[float, ...]:

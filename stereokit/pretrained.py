@@ -32,8 +32,6 @@ def save_folder(model: "StereoModel", folder: Path) -> None:
         ConfigError: a block of the network was passed in as a module, so that its configuration can't rebuild it.
     """
     config = model.config
-    if config is None:
-        raise ConfigError("this network was not made by build_model: it has no configuration to save")
     foreign = [slot for slot, choice in config.items() if isinstance(choice, dict) and "instance" in choice]
     if foreign:
         raise ConfigError(

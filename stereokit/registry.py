@@ -164,7 +164,7 @@ REGRESSIONS = Registry("regressions", kind="regression")
 UPSAMPLERS = Registry("upsamplers", kind="upsampler")
 MODELS = Registry("models", kind="model")
 
-_REGISTRIES = {r.slot: r for r in (BACKBONES, COSTS, GUIDANCE, AGGREGATIONS, REGRESSIONS, UPSAMPLERS, MODELS)}
+REGISTRIES = {r.slot: r for r in (BACKBONES, COSTS, GUIDANCE, AGGREGATIONS, REGRESSIONS, UPSAMPLERS, MODELS)}
 
 
 def list_components(slot: str, pattern: str = "*") -> list[str]:
@@ -180,9 +180,9 @@ def list_components(slot: str, pattern: str = "*") -> list[str]:
     >>> list_components("costs", "*correlation")
     ['correlation', 'groupwise_correlation']
     """
-    if slot not in _REGISTRIES:
-        raise ConfigError(f"unknown slot {slot!r}; {suggest(slot, list(_REGISTRIES))}")
-    return _REGISTRIES[slot].names(pattern)
+    if slot not in REGISTRIES:
+        raise ConfigError(f"unknown slot {slot!r}; {suggest(slot, list(REGISTRIES))}")
+    return REGISTRIES[slot].names(pattern)
 
 
 def list_models(pattern: str = "*") -> list[str]:

@@ -1,0 +1,194 @@
+"""The `stereokit` command: one thin function per job."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from tqdm import tqdm
+
+from stereokit._version import __version__
+from stereokit.builder import build_model
+from stereokit.data.pairs import match_pairs
+from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
+from stereokit.inference import Predictor, check_free, output_paths
+from stereokit.model import StereoModel
+from stereokit.published import NETWORKS, ChannelOrder, convert_published
+from stereokit.registry import REGISTRIES, list_components
+from stereokit.summary import model_summary
+
+__all__ = ["main"]
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """Bad usage is one line, as every other error."""
+        if message.startswith("unrecognized arguments"):
+            message += " (a pattern such as 'left/*.png' must stand in quotes)"
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line.
+
+    Args:
+        arguments: without the program's name; those of the process by default.
+
+    Returns:
+        The exit code: 0, or 2 with one line on standard error.
+
+    >>> main(["list", "costs"])
+    concatenation
+    correlation
+    groupwise_correlation
+    0
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        options.run(options)
+    except StereoKitError as error:
+        print(f"stereokit {options.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # the reader, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="stereokit", description="Stereo matching: disparity maps from rectified pairs of images.")
+    parser.add_argument("--version", action="version", version=f"stereokit {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    predict = commands.add_parser("predict", help="turn a rectified pair, or many, into disparity maps")
+    predict.add_argument("left", help="left image, folder, or quoted pattern")
+    predict.add_argument("right", help="right image, folder, or quoted pattern")
+    predict.add_argument("--model", help="name of the network that the weights are for (default: coex)")
+    predict.add_argument("--weights", help="folder of a saved network, or published checkpoint")
+    _add_channel_order(predict)
+    predict.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
+    predict.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
+    predict.add_argument("--overwrite", action="store_true", help="replace existing results")
+    predict.set_defaults(run=_predict)
+
+    listing = commands.add_parser("list", help="list networks and components")
+    listing.add_argument("slot", nargs="?", metavar="SLOT", help=f"one of {', '.join(REGISTRIES)} (default: all)")
+    listing.add_argument("pattern", nargs="?", default="*", metavar="PATTERN", help="such as 'psm*', in quotes")
+    listing.set_defaults(run=_list)
+
+    info = commands.add_parser("info", help="parameters and multiply-adds of a network, block by block")
+    info.add_argument("model", help="name of a network, or folder of a saved one")
+    info.add_argument("--size", nargs=2, type=int, default=(384, 1248), metavar=("HEIGHT", "WIDTH"))
+    info.set_defaults(run=_info)
+
+    convert = commands.add_parser("convert", help="turn a published checkpoint into a saved network")
+    convert.add_argument("checkpoint", help="Lightning checkpoint or bare state dict")
+    convert.add_argument("out", help="folder for the network")
+    convert.add_argument("--model", default="coex", help=f"{' or '.join(NETWORKS)} (default: %(default)s)")
+    _add_channel_order(convert)
+    convert.add_argument("--top-k", type=int, help="candidates kept by the regression, which weights can't tell")
+    convert.add_argument("--overwrite", action="store_true", help="replace an existing network")
+    convert.set_defaults(run=_convert)
+    return parser
+
+
+def _add_channel_order(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--channel-order",
+        choices=("bgr", "rgb"),
+        help="of the images that a published checkpoint was trained on (default: bgr, as the authors')",
+    )
+
+
+def _predict(options: argparse.Namespace) -> None:
+    pairs = match_pairs(options.left, options.right)
+    check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
+    predictor = Predictor(_load_network(options), options.device)
+    failed: list[str] = []
+    for pair in tqdm(pairs, unit="pair", disable=len(pairs) == 1):
+        try:
+            result = predictor(pair.left, pair.right)
+            written = result.save_all(options.out, pair.name, overwrite=options.overwrite)
+        except InputError as error:
+            if len(pairs) == 1:
+                raise
+            failed.append(pair.name)
+            tqdm.write(f"{pair.name}: {error}", file=sys.stderr)
+            continue
+        height, width = result.size
+        low, high = result.disparity.min(), result.disparity.max()
+        tqdm.write(
+            f"{pair.name}: {width} x {height} px, disparity {low:.1f} to {high:.1f} px, {result.seconds:.2f} s "
+            f"on {predictor.device}; wrote {', '.join(map(str, written))}"
+        )
+        if len(written) < len(output_paths(options.out, pair.name)):
+            tqdm.write(f"{pair.name}: no 16-bit PNG, which ends at 255.996 px")
+    if failed:
+        raise InputError(f"{len(failed)} of {len(pairs)} pairs could not be matched: {', '.join(failed)}")
+
+
+def _load_network(options: argparse.Namespace) -> StereoModel:
+    if options.weights is None:
+        name = options.model or "coex"
+        build_model(name)
+        raise CheckpointError(
+            f"the network {name!r} is untrained: no weights come with the library yet; "
+            "give --weights with the folder of a saved network or a published checkpoint"
+        )
+    if not os.path.exists(options.weights):
+        raise CheckpointError(f"the weights {options.weights!r} do not exist")
+    if os.path.isdir(options.weights):
+        model = StereoModel.from_pretrained(options.weights)
+        name = model.config["name"]
+        if options.model not in (None, name):
+            raise CheckpointError(f"{options.weights!r} holds a {name}, not a {options.model}; leave out --model")
+        return model
+    order: ChannelOrder = options.channel_order or "bgr"
+    model, report = convert_published(options.weights, options.model or "coex", order)
+    said = "" if options.channel_order else ", as the authors' are (--channel-order rgb if these are not)"
+    print(f"{options.weights}: {report.loaded} tensors, taken to be trained on {order.upper()} images{said}")
+    return model
+
+
+def _list(options: argparse.Namespace) -> None:
+    if options.slot is not None:
+        print(*list_components(options.slot, options.pattern), sep="\n")
+        return
+    for slot in REGISTRIES:
+        print(f"{slot:13}{'  '.join(list_components(slot))}")
+
+
+def _info(options: argparse.Namespace) -> None:
+    saved = os.path.isdir(options.model)
+    model = StereoModel.from_pretrained(options.model) if saved else build_model(options.model)
+    if not isinstance(model, StereoModel):
+        raise ConfigError(f"model {options.model!r} is not made of slots: it has no table of blocks")
+    height, width = options.size
+    if min(height, width) < 32:
+        raise InputError(f"--size {height} {width} is below 32 x 32, the smallest that networks take")
+    blocks = model_summary(model, height, width)
+    parameters, multiply_adds = sum(b.parameters for b in blocks), sum(b.multiply_adds for b in blocks)
+    config = model.config
+    print(
+        f"{config['name']}: max_disparity {config['max_disparity']}, guidance {config['guidance']['name']} "
+        f"({config['guidance_at']}), one pair of {width} x {height} px"
+    )
+    line = "{:12}  {:22}  {:27}  {:>12}  {:>10}".format
+    print(line("slot", "block", "class", "parameters", "GMACs"))
+    for block in blocks:
+        gmacs = f"{block.multiply_adds / 1e9:.3f}"
+        print(line(block.slot, block.name, block.kind, f"{block.parameters:,}", gmacs))
+    print(line("total", "", "", f"{parameters:,}", f"{multiply_adds / 1e9:.3f}"))
+
+
+def _convert(options: argparse.Namespace) -> None:
+    check_free([Path(options.out) / "config.json"], overwrite=options.overwrite)
+    overrides = {} if options.top_k is None else {"top_k": options.top_k}
+    order: ChannelOrder = options.channel_order or "bgr"
+    model, report = convert_published(options.checkpoint, options.model, order, **overrides)
+    model.save_pretrained(options.out)
+    print(f"{report}\nwrote {options.out} (from {order.upper()}; regression {model.config['regression']})")

@@ -1,0 +1,107 @@
+"""Left and right image files that belong together, by name."""
+
+import glob
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from stereokit.errors import InputError
+
+__all__ = ["ImagePair", "match_pairs"]
+
+SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp"}
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """Two image files and the name of their pair."""
+
+    name: str
+    left: Path
+    right: Path
+
+
+def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> list[ImagePair]:
+    """Pairs of image files.
+
+    Two files are one pair, named after the left one. In two folders, files of one name (suffix apart) are a pair. With
+    two patterns, files are a pair where the wildcards stand for the same text: ``a/*_left.png`` and ``a/*_right.png``,
+    or ``*/im0.png`` and ``*/im1.png``; the text is the pair's name.
+
+    Args:
+        left: a file, a folder, or a pattern with ``*``, ``?`` or ``**``.
+        right: of the same kind.
+
+    Raises:
+        InputError: the two are of different kinds, nothing is found, or an image lacks its partner.
+
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for name in ("a_L.png", "b_L.png", "a_R.png", "b_R.png"):
+    ...     (folder / name).touch()
+    >>> [pair.name for pair in match_pairs(folder / "*_L.png", folder / "*_R.png")]
+    ['a', 'b']
+    """
+    left, right = os.fspath(left), os.fspath(right)
+    kinds = _kind(left), _kind(right)
+    if kinds[0] != kinds[1]:
+        raise InputError(
+            f"{left!r} is a {kinds[0]} and {right!r} a {kinds[1]}; give two files, two folders or two patterns"
+        )
+    if kinds[0] == "file":
+        return [ImagePair(Path(left).stem, Path(left), Path(right))]
+    find = _in_folder if kinds[0] == "folder" else _by_pattern
+    lefts, rights = find(left), find(right)
+    for where, found in ((left, lefts), (right, rights)):
+        if not found:
+            raise InputError(f"no images found at {where!r}; expected {', '.join(sorted(SUFFIXES))} files")
+    alone = [str(path) for a, b in ((lefts, rights), (rights, lefts)) for key, path in a.items() if key not in b]
+    if alone:
+        shown = ", ".join(alone[:5]) + (f" and {len(alone) - 5} more" if len(alone) > 5 else "")
+        raise InputError(f"{len(alone)} images have no partner of the same name on the other side: {shown}")
+    return [ImagePair(key.strip("_") or lefts[key].stem, lefts[key], rights[key]) for key in sorted(lefts)]
+
+
+def _kind(where: str) -> str:
+    if os.path.isdir(where):
+        return "folder"
+    return "pattern" if glob.has_magic(where) and not os.path.exists(where) else "file"
+
+
+def _in_folder(folder: str) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in sorted(Path(folder).iterdir()):
+        if path.suffix.lower() in SUFFIXES and path.is_file():
+            _add(found, path.stem, path)
+    return found
+
+
+def _by_pattern(pattern: str) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    expression = re.compile(_to_regex(pattern.replace(os.sep, "/")))
+    for name in sorted(glob.glob(pattern, recursive=True)):
+        path = Path(name)
+        match = expression.fullmatch(name.replace(os.sep, "/"))
+        if match and path.suffix.lower() in SUFFIXES and path.is_file():
+            _add(found, "_".join(text.strip("/").replace("/", "_") for text in match.groups()), path)
+    return found
+
+
+def _add(found: dict[str, Path], key: str, path: Path) -> None:
+    if key in found:
+        raise InputError(f"{str(found[key])!r} and {str(path)!r} both stand for {key!r}; name or order them apart")
+    found[key] = path
+
+
+def _to_regex(pattern: str) -> str:
+    """A regular expression with one group per wildcard."""
+    tokens = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]+\])", pattern)
+    wild = {"**/": "((?:.*/)?)", "**": "(.*)", "*": "([^/]*)", "?": "([^/])"}
+
+    def translate(token: str) -> str:
+        if token.startswith("[") and token.endswith("]"):
+            return f"({token.replace('[!', '[^', 1)})"
+        return wild.get(token, re.escape(token))
+
+    return "".join(translate(token) for token in tokens)

@@ -1,0 +1,184 @@
+"""From a pair of images to a disparity map on disk."""
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import nn
+
+from stereokit.data.atomic import atomic_path
+from stereokit.data.disparity_files import write_disparity
+from stereokit.data.images import write_image
+from stereokit.errors import ConfigError, InputError
+from stereokit.inputs import ImageLike, to_pair
+from stereokit.model import MIN_SIZE, StereoModel
+from stereokit.viz import picture_with_scale
+
+__all__ = ["DisparityResult", "Predictor", "choose_device"]
+
+KITTI_MAX = 65535 / 256
+
+
+@dataclass(frozen=True, eq=False)
+class DisparityResult:
+    """The disparity of one pair.
+
+    Args:
+        disparity: (H, W) float32, pixels of the left image; x_right = x_left - disparity.
+        confidence: (H, W) float32 in [0, 1], the probability mass behind the estimate; None if the network gives none.
+        seconds: that the network took, with the transfer to and from the device.
+
+    >>> result = DisparityResult(np.full((40, 60), 12.5, np.float32), confidence=None, seconds=0.1)
+    >>> result.size
+    (40, 60)
+    """
+
+    disparity: npt.NDArray[np.float32]
+    confidence: npt.NDArray[np.float32] | None
+    seconds: float
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width, those of the input."""
+        height, width = self.disparity.shape
+        return height, width
+
+    def picture(self, value_range: tuple[float, float] | None = None) -> npt.NDArray[np.uint8]:
+        """The disparity in colours above its scale, RGB."""
+        return picture_with_scale(self.disparity, value_range=value_range)
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Writes the disparity in the format that the suffix names.
+
+        Args:
+            path: ends in .png (16 bits, KITTI's encoding), .pfm, .npy, or .npz, which holds the confidence too.
+            overwrite: replace an existing file.
+
+        Raises:
+            InputError: another suffix, a value that the format can't hold, or a file that can't be written.
+        """
+        if Path(path).suffix.lower() != ".npz":
+            write_disparity(path, self.disparity, overwrite=overwrite)
+            return
+        arrays: dict[str, Any] = {"disparity": self.disparity}
+        if self.confidence is not None:
+            arrays["confidence"] = self.confidence
+        with atomic_path(path, overwrite=overwrite) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    def save_all(self, folder: str | os.PathLike[str], name: str, *, overwrite: bool = False) -> list[Path]:
+        """Writes the disparity in every format, and its picture, beside each other.
+
+        A disparity that KITTI's encoding can't hold, from 256 px up, is not written as PNG.
+
+        Args:
+            folder: is made if need be.
+            name: the files are those of `output_paths`.
+            overwrite: replace existing files.
+
+        Returns:
+            The files written.
+
+        Raises:
+            InputError: a file exists already; then none is written.
+        """
+        paths = output_paths(folder, name)
+        check_free(paths, overwrite=overwrite)
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        kitti, *exact, picture = paths
+        disparities = exact if float(np.nanmax(self.disparity)) > KITTI_MAX else [kitti, *exact]
+        for path in disparities:
+            self.save(path, overwrite=overwrite)
+        write_image(picture, self.picture(), overwrite=overwrite)
+        return [*disparities, picture]
+
+
+def output_paths(folder: str | os.PathLike[str], name: str) -> list[Path]:
+    """The files of one pair: 16-bit PNG, PFM, npz, and the picture.
+
+    >>> [path.name for path in output_paths("out", "teddy")]
+    ['teddy_disparity.png', 'teddy_disparity.pfm', 'teddy_disparity.npz', 'teddy_picture.png']
+    """
+    disparities = [Path(folder) / f"{name}_disparity{suffix}" for suffix in (".png", ".pfm", ".npz")]
+    return [*disparities, Path(folder) / f"{name}_picture.png"]
+
+
+def check_free(paths: list[Path], *, overwrite: bool) -> None:
+    """Raises `InputError` if a file to be written exists already and `overwrite` was not said."""
+    taken = [] if overwrite else [str(path) for path in paths if path.exists()]
+    if taken:
+        more = f" and {len(taken) - 1} more" if len(taken) > 1 else ""
+        raise InputError(
+            f"{taken[0]!r}{more} exists already; choose another folder, or say --overwrite (overwrite=True)"
+        )
+
+
+class Predictor:
+    """A network made ready to be used on single pairs.
+
+    Args:
+        model: a network, or the folder or hub id of a saved one. It is moved to the device and put into eval mode.
+        device: "auto" (a GPU if there is one), or what `torch.device` takes.
+
+    Raises:
+        ConfigError: the device is unknown or absent.
+        CheckpointError: there is no saved network at this place.
+
+    >>> from stereokit import build_model
+    >>> predict = Predictor(build_model("coex", max_disparity=64), device="cpu")
+    >>> left = right = np.zeros((50, 70, 3), np.uint8)
+    >>> predict(left, right).disparity.shape
+    (50, 70)
+    """
+
+    def __init__(self, model: nn.Module | str | os.PathLike[str], device: str | torch.device = "auto") -> None:
+        self.device = choose_device(device)
+        network = model if isinstance(model, nn.Module) else StereoModel.from_pretrained(os.fspath(model))
+        self.model = network.to(self.device).eval()
+
+    @torch.inference_mode()
+    def __call__(self, left: ImageLike, right: ImageLike) -> DisparityResult:
+        """Matches one rectified pair.
+
+        Args:
+            left: path, array, tensor or PIL image, see `stereokit.inputs.ImageLike`; at least 32 x 32 pixels.
+            right: likewise, of the same size.
+
+        Raises:
+            InputError: an image that can't be used; the message says why.
+        """
+        left, right = to_pair(left, right)
+        height, width = left.shape[-2:]
+        if min(height, width) < MIN_SIZE:
+            raise InputError(f"the images are {width} x {height} pixels; at least {MIN_SIZE} x {MIN_SIZE} are needed")
+        start = time.perf_counter()
+        output = self.model(left.to(self.device), right.to(self.device))
+        # copying to the CPU waits for the device
+        disparity = output.disparity[0].float().cpu().numpy()
+        confidence = None if output.confidence is None else output.confidence[0].float().cpu().numpy()
+        return DisparityResult(disparity, confidence, time.perf_counter() - start)
+
+
+def choose_device(device: str | torch.device = "auto") -> torch.device:
+    """The device of that name; for "auto" a GPU if there is one.
+
+    Raises:
+        ConfigError: torch knows no such device, or this machine has none.
+
+    >>> choose_device("cpu")
+    device(type='cpu')
+    """
+    if device == "auto":
+        return torch.accelerator.current_accelerator(check_available=True) or torch.device("cpu")
+    try:
+        chosen = torch.device(device)
+        torch.empty(0, device=chosen)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).strip().split("\n")[0]
+        raise ConfigError(f"device {str(device)!r} can't be used; 'auto' or 'cpu' would do ({reason})") from error
+    return chosen
