@@ -191,8 +191,10 @@ def error_picture(prediction: npt.ArrayLike, truth: npt.ArrayLike, *, dilate: in
         )
     known = np.isfinite(true) & (true > 0)
     invalid = ~np.isfinite(predicted)
-    absolute = np.abs(np.where(known & ~invalid, predicted.astype(np.float64) - true, 0))
-    error = np.minimum(absolute, 60 * absolute / np.where(known, true, 1))
+    # In float64 the difference of two float32 numbers is exact, so that an error of exactly 3 px stays blue.
+    true = np.where(known, true, 1).astype(np.float64)
+    absolute = np.abs(np.where(invalid, true, predicted) - true)
+    error = np.minimum(absolute, 60 * absolute / true)
     limits, colors = zip(*KITTI_ERROR_COLORS, strict=True)
     # 0 is "unknown", 1 to 10 the table's rows, 11 "no prediction": the worst is the largest.
     table = np.array([(0, 0, 0), *colors, NO_PREDICTION_COLOR], np.uint8)
