@@ -279,6 +279,11 @@ def test_any_device_and_type_gives_the_same(device, dtype):
     assert d1(prediction.to(device, dtype), truth.to(device)) == expected["d1"]
 
 
+def test_a_coarse_prediction_is_compared_with_the_exact_truth():
+    truth = torch.tensor([100.3125])
+    assert end_point_error(torch.tensor([100.0], dtype=torch.bfloat16), truth) == 0.3125
+
+
 def test_sums_of_a_whole_data_set_keep_every_pixel():
     metrics = StereoMetrics(taus=(2,))
     metrics.update(torch.tensor([[[11.0]]]), torch.tensor([[[10.0]]]))
