@@ -159,7 +159,13 @@ def picture_with_scale(
     return canvas
 
 
-def error_picture(prediction: npt.ArrayLike, truth: npt.ArrayLike, *, dilate: int = 1) -> Picture:
+def error_picture(
+    prediction: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    *,
+    occluded: npt.ArrayLike | None = None,
+    dilate: int = 1,
+) -> Picture:
     """Where a prediction is wrong, and by how much, in the colours of the KITTI 2015 devkit.
 
     The colour is that of `KITTI_ERROR_COLORS` for e = min(|d - d*|, 60 |d - d*| / d*): blue up to e = 3,
@@ -169,6 +175,7 @@ def error_picture(prediction: npt.ArrayLike, truth: npt.ArrayLike, *, dilate: in
     Args:
         prediction: (H, W), in pixels.
         truth: (H, W), in pixels; 0 or non-finite is unknown.
+        occluded: (H, W), bool: pixels that the right image does not see; drawn half as bright.
         dilate: how far pixels of sparse ground truth spread into unknown neighbours; the worst one wins.
             Pixels with ground truth keep their own colour. 0 spreads nothing.
 
@@ -176,7 +183,7 @@ def error_picture(prediction: npt.ArrayLike, truth: npt.ArrayLike, *, dilate: in
         (H, W, 3), uint8, RGB.
 
     Raises:
-        InputError: maps that are not (H, W) or differ in size.
+        InputError: maps that are not (H, W), differ in size or are of the wrong type.
 
     Source: the KITTI 2015 devkit's colour table and normalised error, `error_colormap.m` and
     `disp_error_image.m`, https://www.cvlibs.net/datasets/kitti/eval_scene_flow.php.
@@ -191,14 +198,20 @@ def error_picture(prediction: npt.ArrayLike, truth: npt.ArrayLike, *, dilate: in
         )
     known = np.isfinite(true) & (true > 0)
     invalid = ~np.isfinite(predicted)
-    absolute = np.abs(np.where(known & ~invalid, predicted.astype(np.float64) - true, 0))
-    error = np.minimum(absolute, 60 * absolute / np.where(known, true, 1))
+    # In float64 the difference of two float32 numbers is exact, so that an error of exactly 3 px stays blue.
+    true = np.where(known, true, 1).astype(np.float64)
+    absolute = np.abs(np.where(invalid, true, predicted) - true)
+    error = np.minimum(absolute, 60 * absolute / true)
     limits, colors = zip(*KITTI_ERROR_COLORS, strict=True)
     # 0 is "unknown", 1 to 10 the table's rows, 11 "no prediction": the worst is the largest.
-    table = np.array([(0, 0, 0), *colors, NO_PREDICTION_COLOR], np.uint8)
+    colors = ((0, 0, 0), *colors, NO_PREDICTION_COLOR)
     level = (1 + np.searchsorted(limits, error, side="left")).astype(np.uint8)
-    level[invalid] = len(table) - 1
+    level[invalid] = len(colors) - 1
     level[~known] = 0
+    # Each level is there twice: dark, then bright.
+    table = np.array([shade for color in colors for shade in (np.array(color) // 2, color)], np.uint8)
+    dark = np.zeros(true.shape, bool) if occluded is None else _as_mask(occluded, "occluded", true.shape)
+    level = np.where(dark, 2 * level, 2 * level + 1).astype(np.uint8)
     if dilate > 0:
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * dilate + 1, 2 * dilate + 1))
         level = np.where(known, level, cv2.dilate(level, disc))
@@ -446,7 +459,11 @@ def _checked_range(value_range: tuple[float, float]) -> tuple[float, float]:
 
 def _as_array(values: Any) -> npt.NDArray[Any]:
     """A numpy array of an array or of a tensor, wherever the tensor lives."""
-    return np.asarray(values.detach().float().cpu().numpy() if hasattr(values, "detach") else values)
+    if hasattr(values, "detach"):
+        values = values.detach().cpu()
+        # numpy has no bfloat16.
+        values = values.float() if values.is_floating_point() else values
+    return np.asarray(values)
 
 
 def _as_map(values: Any, name: str) -> FloatMap:
@@ -457,3 +474,10 @@ def _as_map(values: Any, name: str) -> FloatMap:
             + (f": take {name}[0]" if array.ndim == 3 and array.shape[0] == 1 else "")
         )
     return array.astype(np.float32)
+
+
+def _as_mask(values: Any, name: str, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    array = _as_array(values)
+    if array.dtype != bool or array.shape != shape:
+        raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected bool, {shape}")
+    return array

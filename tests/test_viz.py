@@ -138,7 +138,7 @@ def test_unknown_truth_is_black_and_a_missing_prediction_magenta():
 
 def test_dilation_fills_only_unknown_pixels_and_the_worst_neighbour_wins():
     truth = np.full((5, 7), np.nan)
-    truth[2, 2], truth[2, 4] = 50, 50
+    truth[2, 1:3], truth[2, 4:6] = 50, 50
     prediction = np.full((5, 7), 50.0)
     prediction[2, 4] = 150
     thin, thick = error_picture(prediction, truth, dilate=0), error_picture(prediction, truth)
@@ -146,9 +146,22 @@ def test_dilation_fills_only_unknown_pixels_and_the_worst_neighbour_wins():
     known = np.isfinite(truth)
     assert np.array_equal(thick[known], thin[known])
     assert (thin[~known] == 0).all()
-    assert tuple(thick[2, 1]) == right
+    assert tuple(thick[2, 5]) == right, "its neighbour is wrong, it is not"
+    assert tuple(thick[2, 0]) == right
     assert tuple(thick[2, 3]) == wrong
     assert tuple(thick[0, 2]) == BLACK
+
+
+def test_occluded_pixels_are_half_as_bright():
+    truth = np.array([[50.0, 50.0, 0.0, 50.0]])
+    prediction = np.array([[50.0, 54.0, 54.0, np.nan]])
+    occluded = np.array([[False, True, True, True]])
+    plain = error_picture(prediction, truth, dilate=0)
+    picture = error_picture(prediction, truth, occluded=occluded, dilate=0)
+    assert np.array_equal(picture[~occluded], plain[~occluded])
+    assert np.array_equal(picture[occluded], plain[occluded] // 2)
+    with pytest.raises(InputError, match="occluded is float64"):
+        error_picture(prediction, truth, occluded=truth)
 
 
 def test_an_overlay_mixes_known_pixels_only():
