@@ -104,8 +104,9 @@ def _from_array(array: npt.NDArray[Any], name: str) -> Tensor:
         _check_range(array, name)
     elif array.dtype != np.uint8:
         raise InputError(f"{name} holds {array.dtype}; expected uint8, uint16, or floating-point in [0, 1]")
-    planes = np.ascontiguousarray(np.moveaxis(array, 2, 0))
-    return torch.from_numpy(planes).expand(3, -1, -1).contiguous().unsqueeze(0)
+    # a copy: arrays may be read-only, and torch shares their memory
+    planes = torch.from_numpy(np.array(np.moveaxis(array, 2, 0), order="C"))
+    return planes.expand(3, -1, -1).contiguous().unsqueeze(0)
 
 
 def _check_range(array: npt.NDArray[np.float32], name: str) -> None:

@@ -1,0 +1,164 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from stereokit import build_model
+from stereokit.cli import main
+from stereokit.data import read_disparity, write_image
+from tests.shared import SHARED, needs_shared
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> str:
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("weights")
+    build_model("coex", max_disparity=64).save_pretrained(folder)
+    return str(folder)
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        for name in ("a", "b"):
+            write_image(tmp_path / side / f"{name}.png", rng.integers(0, 256, (40, 50, 3), dtype=np.uint8))
+    return tmp_path
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    try:
+        code = main([str(a) for a in arguments])
+    except SystemExit as leaving:
+        code = leaving.code if isinstance(leaving.code, int) else 1
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def fails(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line that a failing command prints."""
+    code, out, err = run(capsys, *arguments)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    return err
+
+
+def test_predict_writes_all_formats_and_says_so(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    out = images / "out"
+    code, said, _ = run(
+        capsys, "predict", images / "left/a.png", images / "right/a.png", "--weights", weights, "--out", out
+    )
+    assert code == 0
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        ["a_disparity.png", "a_disparity.pfm", "a_disparity.npz", "a_picture.png"]
+    )
+    disparity = read_disparity(out / "a_disparity.pfm")
+    assert disparity.shape == (40, 50)
+    assert f"disparity {disparity.min():.1f} to {disparity.max():.1f} px" in said
+    assert "50 x 40 px" in said
+    assert " s on " in said
+    assert all(str(path) in said for path in out.iterdir())
+
+
+@pytest.mark.parametrize(("left", "right"), [("left", "right"), ("left/*.png", "right/*.png")])
+def test_predict_takes_folders_and_patterns(
+    capsys: pytest.CaptureFixture[str], images: Path, weights: str, left: str, right: str
+) -> None:
+    code, said, shown = run(
+        capsys, "predict", images / left, images / right, "--weights", weights, "--out", images / "out"
+    )
+    assert code == 0
+    assert len(list((images / "out").iterdir())) == 8
+    assert "a: 50 x 40" in said
+    assert "b: 50 x 40" in said
+    assert "2/2" in shown
+
+
+def test_predict_goes_on_after_a_broken_pair(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    (images / "left/a.png").write_text("broken")
+    code, said, err = run(
+        capsys, "predict", images / "left", images / "right", "--weights", weights, "--out", images / "out"
+    )
+    assert code == 2
+    assert "b: 50 x 40" in said
+    assert "1 of 2 pairs could not be matched: a" in err
+    assert len(list((images / "out").iterdir())) == 4
+
+
+def test_predict_without_weights_says_that_the_network_is_untrained(
+    capsys: pytest.CaptureFixture[str], images: Path
+) -> None:
+    said = fails(capsys, "predict", images / "left/a.png", images / "right/a.png", "--out", images / "out")
+    assert "untrained" in said
+    assert "--weights" in said
+    assert not (images / "out").exists()
+
+
+def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    arguments = ("predict", images / "left/a.png", images / "right/a.png", "--weights", weights, "--out", images / "o")
+    assert run(capsys, *arguments)[0] == 0
+    assert "--overwrite" in fails(capsys, *arguments)
+    assert run(capsys, *arguments, "--overwrite")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("left/none.png", "right/a.png"), "none.png' does not exist"),
+        (("left", "right/a.png"), "is a folder and"),
+        (("left/a.png", "right/small.png"), "one size"),
+        (("left/text.png", "right/a.png"), "no image"),
+        (("left/a.png", "right/a.png", "--model", "coexx"), "did you mean 'coex'"),
+        (("left/a.png", "right/a.png", "--device", "tpu"), "'auto' or 'cpu' would do"),
+        (("left/a.png", "right/a.png", "--model", "psmnet", "--weights", "SAVED"), "holds a coex, not a psmnet"),
+        (("left/a.png", "right/a.png", "--weights", "nowhere"), "'nowhere' do not exist"),
+        (("left/a.png", "right/a.png", "--weights", "left/a.png"), "a.png"),
+        (("left/a.png", "left/b.png", "right/a.png"), "in quotes"),
+        (("left/a.png",), "right"),
+    ],
+)
+def test_bad_input_is_one_line(
+    capsys: pytest.CaptureFixture[str],
+    images: Path,
+    weights: str,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    message: str,
+) -> None:
+    monkeypatch.chdir(images)
+    write_image("right/small.png", np.zeros((33, 50, 3), np.uint8))
+    Path("left/text.png").write_text("no image at all")
+    given = [weights if a == "SAVED" else a for a in arguments]
+    if "--weights" not in given and "--model" not in given:
+        given += ["--weights", weights]
+    assert message in fails(capsys, "predict", *given)
+    assert not Path("disparity").exists()
+
+
+def test_list_and_info(capsys: pytest.CaptureFixture[str], weights: str) -> None:
+    assert run(capsys, "list", "models", "psm*")[1] == "psmnet\n"
+    assert "groupwise_correlation" in run(capsys, "list")[1]
+    said = run(capsys, "info", "coex", "--size", 64, 96)[1]
+    assert "2,721,993" in said
+    assert "Hourglass" in said
+    assert "max_disparity 64" in run(capsys, "info", weights)[1]
+    assert "did you mean 'costs'" in fails(capsys, "list", "cost")
+    assert "did you mean 'psmnet'" in fails(capsys, "info", "psmnett")
+    assert "32 x 32" in fails(capsys, "info", "coex", "--size", 8, 8)
+
+
+@needs_shared
+def test_convert_reports_what_it_dropped(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    pilot = SHARED / "golden/coex_pilot.ckpt"
+    arguments = ("convert", pilot, tmp_path / "net", "--channel-order", "rgb", "--top-k", 3)
+    code, said, _ = run(capsys, *arguments)
+    assert code == 0
+    assert "cost_agg.conv_up.0.bn.weight" in said
+    assert json.loads((tmp_path / "net/config.json").read_text())["network"]["regression"]["k"] == 3
+    assert "exists already" in fails(capsys, *arguments)
+    assert "network='coex' would do" in fails(capsys, "convert", pilot, tmp_path / "other", "--model", "psmnet")

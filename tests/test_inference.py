@@ -1,0 +1,124 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from stereokit import ConfigError, InputError, StereoOutput, build_model
+from stereokit.data import read_disparity, read_image
+from stereokit.errors import CheckpointError
+from stereokit.inference import DisparityResult, Predictor, choose_device, output_paths
+from tests.shared import SHARED, needs_shared
+
+
+class ColumnNet(nn.Module):
+    """Any module with the outer contract: says how bright the left image is, in hundreds."""
+
+    def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
+        scale = 100 / 255 if left.dtype == torch.uint8 else 100
+        return StereoOutput(left.float().mean(1) * scale)
+
+
+@pytest.fixture(scope="module")
+def coex() -> Predictor:
+    torch.manual_seed(0)
+    return Predictor(build_model("coex", max_disparity=64), device="cpu")
+
+
+@pytest.mark.parametrize("size", [(32, 32), (33, 47), (61, 130)])
+def test_any_size_from_32_up_gives_a_map_of_that_size(coex: Predictor, size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(0)
+    left, right = rng.integers(0, 256, (2, *size, 3), dtype=np.uint8)
+    result = coex(left, right)
+    assert result.size == result.disparity.shape == result.confidence.shape == size
+    assert result.disparity.dtype == result.confidence.dtype == np.float32
+    assert np.isfinite(result.disparity).all()
+    assert 0 <= result.disparity.min() <= result.disparity.max() < 64
+    assert 0 <= result.confidence.min() <= result.confidence.max() <= 1
+    assert result.seconds > 0
+
+
+def test_the_result_is_that_of_the_network(coex: Predictor) -> None:
+    left, right = torch.rand(2, 1, 3, 40, 64)
+    with torch.inference_mode():
+        expected = coex.model(left, right)
+    result = coex(left, right)
+    np.testing.assert_array_equal(result.disparity, expected.disparity[0])
+    np.testing.assert_array_equal(result.confidence, expected.confidence[0])
+
+
+def test_a_network_of_ones_own_needs_no_confidence() -> None:
+    result = Predictor(ColumnNet(), "cpu")(np.full((40, 50), 0.5, np.float32), np.zeros((40, 50), np.float32))
+    np.testing.assert_allclose(result.disparity, 50)
+    assert result.confidence is None
+
+
+def test_it_reads_a_saved_network(tmp_path: Path, coex: Predictor) -> None:
+    coex.model.save_pretrained(tmp_path)
+    image = np.random.default_rng(0).random((40, 50, 3))
+    np.testing.assert_array_equal(Predictor(tmp_path, "cpu")(image, image).disparity, coex(image, image).disparity)
+    with pytest.raises(CheckpointError, match="nowhere"):
+        Predictor(tmp_path / "nowhere")
+
+
+def test_small_and_unequal_images_are_refused(coex: Predictor) -> None:
+    with pytest.raises(InputError, match="40 x 31 pixels; at least 32 x 32"):
+        coex(np.zeros((31, 40), np.uint8), np.zeros((31, 40), np.uint8))
+    with pytest.raises(InputError, match="one size"):
+        coex(np.zeros((32, 40), np.uint8), np.zeros((32, 41), np.uint8))
+
+
+def test_unknown_and_absent_devices_are_refused() -> None:
+    for device in ("tpu9", "cuda:99"):
+        with pytest.raises(ConfigError, match=f"device '{device}' can't be used; 'auto' or 'cpu' would do"):
+            choose_device(device)
+    assert choose_device("auto").type in {"cpu", "cuda", "mps", "xpu"}
+
+
+def result() -> DisparityResult:
+    rng = np.random.default_rng(0)
+    disparity, confidence = rng.random((2, 40, 60), dtype=np.float32)
+    return DisparityResult(disparity * 100, confidence, seconds=0.1)
+
+
+def test_all_formats_hold_the_same_disparity(tmp_path: Path) -> None:
+    written = result().save_all(tmp_path / "new" / "folder", "scene")
+    assert written == output_paths(tmp_path / "new" / "folder", "scene")
+    png, pfm, npz, picture = written
+    np.testing.assert_array_equal(read_disparity(pfm), result().disparity)
+    np.testing.assert_array_equal(read_disparity(npz), result().disparity)
+    np.testing.assert_allclose(read_disparity(png), result().disparity, atol=0.5 / 256 + 1e-6)
+    with np.load(npz) as arrays:
+        np.testing.assert_array_equal(arrays["confidence"], result().confidence)
+    assert read_image(picture).shape[0] > 40
+
+
+def test_existing_files_are_kept_unless_told_otherwise(tmp_path: Path) -> None:
+    picture = output_paths(tmp_path, "scene")[-1]
+    picture.write_text("precious")
+    with pytest.raises(InputError, match="exists already"):
+        result().save_all(tmp_path, "scene")
+    assert [path.name for path in tmp_path.iterdir()] == [picture.name]
+    assert picture.read_text() == "precious"
+    result().save_all(tmp_path, "scene", overwrite=True)
+    assert read_image(picture).dtype == np.uint8
+
+
+def test_a_disparity_beyond_kittis_encoding_is_left_out_of_the_png(tmp_path: Path) -> None:
+    wide = DisparityResult(np.full((40, 60), 300, np.float32), None, 0.1)
+    assert {path.suffix for path in wide.save_all(tmp_path, "wide")} == {".pfm", ".npz", ".png"}
+    assert not output_paths(tmp_path, "wide")[0].exists()
+    with pytest.raises(InputError, match="255"):
+        wide.save(tmp_path / "x.png")
+
+
+@needs_shared
+def test_the_pilot_matches_a_real_pair() -> None:
+    from stereokit import load_published
+
+    scene = SHARED / "data/real/middlebury/teddy"
+    predictor = Predictor(load_published(SHARED / "golden/coex_pilot.ckpt", channel_order="rgb"))
+    truth = read_disparity(scene / "groundtruth.png", scale=4)
+    error = np.abs(predictor(scene / "imL.png", scene / "imR.png").disparity - truth)[np.isfinite(truth)]
+    assert 100 * (error > 3).mean() == pytest.approx(6.0, abs=0.15)
