@@ -17,6 +17,8 @@ __all__ = ["MAX_PIXELS", "read_file_bytes", "read_image", "read_samples", "write
 MAX_PIXELS = 10**8
 """The most pixels a file may claim to hold. Above it a file is refused before memory is reserved for it."""
 
+_MAX_BYTES = 16 * MAX_PIXELS
+
 
 def read_image(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     """Reads an image file as RGB.
@@ -39,13 +41,12 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     """
     samples, header = _decode(path)
     rgb = np.repeat(samples[:, :, None], 3, axis=2) if samples.ndim == 2 else samples[:, :, :3]
-    wide = rgb.dtype == np.uint16
-    full = 65535 if wide else 255
+    full = 65535 if rgb.dtype == np.uint16 else 255
     peak = header.peak or full
-    if wide:
-        return np.divide(np.minimum(rgb, peak), peak, dtype=np.float32)
-    if peak != full:
-        return np.minimum((rgb.astype(np.uint16) * full + peak // 2) // peak, full).astype(np.uint8)
+    if full == 65535:
+        rgb = np.divide(np.minimum(rgb, peak), peak, dtype=np.float32)
+    elif peak < full:
+        rgb = ((np.minimum(rgb, peak).astype(np.uint16) * full + peak // 2) // peak).astype(np.uint8)
     return np.ascontiguousarray(rgb)
 
 
@@ -116,22 +117,22 @@ def read_file_bytes(path: str | os.PathLike[str], limit: int | None = None) -> b
     """The content of a regular file, or its first `limit` bytes.
 
     Raises:
-        InputError: no such file, a folder, a device, or a file that may not be read.
+        InputError: no such file, a folder, a device, a file that may not be read, or one too large to be a
+            picture of `MAX_PIXELS`.
     """
     name = os.fspath(path)
     try:
         if not os.path.exists(path):
             raise InputError(f"{name!r} does not exist")
         if not os.path.isfile(path):
-            raise InputError(
-                f"{name!r} is {'a folder' if os.path.isdir(path) else 'not a regular file'}, not a file"
-            )
+            kind = "a folder" if os.path.isdir(path) else "a device or a pipe"
+            raise InputError(f"{name!r} is {kind}; expected a file")
+        if limit is None and os.path.getsize(path) > _MAX_BYTES:
+            raise InputError(f"{name!r} has {os.path.getsize(path)} bytes; expected at most {_MAX_BYTES}")
         with open(path, "rb") as file:
             return file.read() if limit is None else file.read(limit)
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{name!r} can't be read: {getattr(error, 'strerror', None) or error}") from error
+    except OSError as error:
+        raise InputError(f"{name!r} can't be read: {error.strerror or error}") from error
 
 
 def _decode(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], ImageHeader]:
