@@ -12,7 +12,15 @@ from stereokit.data.atomic import atomic_path
 from stereokit.data.image_header import ImageHeader, read_image_header
 from stereokit.errors import InputError
 
-__all__ = ["MAX_PIXELS", "read_file_bytes", "read_image", "read_samples", "write_image"]
+__all__ = [
+    "MAX_PIXELS",
+    "read_file_bytes",
+    "read_image",
+    "read_image_size",
+    "read_samples",
+    "write_image",
+    "write_samples",
+]
 
 MAX_PIXELS = 10**8
 """The most pixels a file may claim to hold. Above it a file is refused before memory is reserved for it."""
@@ -48,6 +56,16 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     elif peak < full:
         rgb = ((np.minimum(rgb, peak).astype(np.uint16) * full + peak // 2) // peak).astype(np.uint8)
     return np.ascontiguousarray(rgb)
+
+
+def read_image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Width and height of an image file in pixels, from its header.
+
+    Raises:
+        InputError: as `read_image`.
+    """
+    header = _read_header(path, read_file_bytes(path))
+    return header.width, header.height
 
 
 def read_samples(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
@@ -105,10 +123,16 @@ def write_image(path: str | os.PathLike[str], rgb: npt.NDArray[Any], *, overwrit
 def write_samples(path: str | os.PathLike[str], samples: npt.NDArray[Any], *, overwrite: bool) -> None:
     """Writes sample values as they are: uint8 or uint16, (H, W) or RGB (H, W, 3), in the suffix's format."""
     bgr = samples[:, :, ::-1] if samples.ndim == 3 else samples
+    suffix = Path(path).suffix.lower()
     try:
-        _, encoded = cv2.imencode(Path(path).suffix.lower(), np.ascontiguousarray(bgr))
-    except cv2.error as error:
-        raise InputError(f"{os.fspath(path)!r} can't be encoded: {error}") from error
+        encodable, encoded = cv2.imencode(suffix, np.ascontiguousarray(bgr))
+    except cv2.error:
+        encodable = False
+    if not encodable:
+        raise InputError(
+            f"{os.fspath(path)!r}: {samples.dtype} samples of shape {samples.shape} "
+            f"can't be encoded as {suffix!r}"
+        )
     with atomic_path(path, overwrite=overwrite) as temporary:
         temporary.write_bytes(encoded.tobytes())
 
@@ -137,6 +161,23 @@ def read_file_bytes(path: str | os.PathLike[str], limit: int | None = None) -> b
 
 def _decode(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], ImageHeader]:
     data = read_file_bytes(path)
+    header = _read_header(path, data)
+    try:
+        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        decoded = None
+    if decoded is None:
+        raise InputError(f"{os.fspath(path)!r} is a broken image: its {header.format} data can't be decoded")
+    if decoded.dtype not in (np.uint8, np.uint16):
+        raise InputError(
+            f"{os.fspath(path)!r} holds {decoded.dtype} samples; expected 8 or 16 bits per sample"
+        )
+    if decoded.ndim == 2:
+        return decoded, header
+    return decoded[:, :, [2, 1, 0, 3][: decoded.shape[2]]], header
+
+
+def _read_header(path: str | os.PathLike[str], data: bytes) -> ImageHeader:
     name = os.fspath(path)
     if not data:
         raise InputError(f"{name!r} is empty (0 bytes); expected an image")
@@ -154,14 +195,4 @@ def _decode(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], ImageHeader
             f"{name!r} claims {header.width} x {header.height} pixels; "
             f"expected at least 1 and at most {MAX_PIXELS} in all"
         )
-    try:
-        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        decoded = None
-    if decoded is None:
-        raise InputError(f"{name!r} is a broken image: its {header.format} data can't be decoded")
-    if decoded.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"{name!r} holds {decoded.dtype} samples; expected 8 or 16 bits per sample")
-    if decoded.ndim == 2:
-        return decoded, header
-    return decoded[:, :, [2, 1, 0, 3][: decoded.shape[2]]], header
+    return header

@@ -204,6 +204,12 @@ def test_what_is_not_written(tmp_path, name, array, message):
     assert not list(tmp_path.iterdir())
 
 
+def test_what_the_format_can_not_hold(tmp_path):
+    with pytest.raises(InputError, match=r"shape \(1, 70000, 3\) can't be encoded as '.jpg'"):
+        write_image(tmp_path / "wide.jpg", np.zeros((1, 70000, 3), np.uint8))
+    assert not list(tmp_path.iterdir())
+
+
 def test_writing_does_not_overwrite(tmp_path):
     write_image(tmp_path / "a.png", COLOUR)
     with pytest.raises(InputError, match="exists already"):
