@@ -4,7 +4,7 @@ import math
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -16,6 +16,7 @@ from stereokit.errors import InputError
 __all__ = [
     "Calibration",
     "read_calibration",
+    "read_drivingstereo_calibration",
     "read_kitti_calibration",
     "read_middlebury_calibration",
     "read_opencv_calibration",
@@ -27,7 +28,8 @@ _MAX_BYTES = 2**20
 _MILLIMETRE = 0.001
 _KITTI_LINE = re.compile(r"^\s*([A-Za-z]\w*):[ \t]*(.*)$", re.MULTILINE)
 _KITTI_PROJECTION = re.compile(r"^\s*P(?:_rect_)?\d+:", re.MULTILINE)
-_KITTI_PAIRS = (("2", "3"), ("02", "03"), ("0", "1"), ("00", "01"), ("101", "103"))
+_KITTI_PAIRS = (("2", "3"), ("02", "03"), ("0", "1"), ("00", "01"))
+_DRIVINGSTEREO_PAIR = ("101", "103")
 _MIDDLEBURY_LINE = re.compile(r"^\s*(\w+)\s*=[ \t]*(.*?)\s*$", re.MULTILINE)
 _OPENCV_MATRIX = re.compile(
     r"^\s*(\w+):\s*!!opencv-matrix\s+rows:\s*(\d{1,6})\s+cols:\s*(\d{1,6})\s+dt:\s*\"?\w+\"?\s+data:\s*\[([^\[\]]*)\]",
@@ -105,8 +107,8 @@ class Calibration:
 def read_calibration(path: PathLike, *, metres_per_unit: float | None = None) -> Calibration:
     """Reads a calibration file of any known kind, which it finds by looking at the file.
 
-    KITTI's (`P0: ...` or `P_rect_02: ...`; DrivingStereo's too), Middlebury's and ETH3D's (`cam0=[...]`),
-    and OpenCV's YAML with the results of `cv2.stereoRectify`.
+    KITTI's (`P0: ...` or `P_rect_02: ...`), DrivingStereo's (`P_rect_101: ...`), Middlebury's and ETH3D's
+    (`cam0=[...]`), and OpenCV's YAML with the results of `cv2.stereoRectify`.
 
     Args:
         path: the file.
@@ -128,6 +130,8 @@ def read_calibration(path: PathLike, *, metres_per_unit: float | None = None) ->
         return read_opencv_calibration(path, metres_per_unit=metres_per_unit or 1.0)
     if "cam0" in dict(_MIDDLEBURY_LINE.findall(text)):
         return read_middlebury_calibration(path, metres_per_unit=metres_per_unit or _MILLIMETRE)
+    if re.search(r"^\s*P_rect_101:", text, re.MULTILINE):
+        return read_drivingstereo_calibration(path, metres_per_unit=metres_per_unit or 1.0)
     if _KITTI_PROJECTION.search(text):
         return read_kitti_calibration(path, metres_per_unit=metres_per_unit or 1.0)
     raise InputError(
@@ -179,6 +183,27 @@ def read_kitti_calibration(
         width=width,
         height=height,
     )
+
+
+def read_drivingstereo_calibration(path: PathLike, *, metres_per_unit: float = 1.0) -> Calibration:
+    """Reads DrivingStereo's calibration, in KITTI's form for the cameras 101 and 103.
+
+    The baseline is the length of `T_103`, the position of the right camera. The last column of `P_rect_103`
+    gives twice as much in the files for half-size images.
+
+    Args:
+        path: the file.
+        metres_per_unit: of the file's baseline.
+
+    Raises:
+        InputError: a missing or malformed file, or one without those cameras.
+
+    Source: https://drivingstereo-dataset.github.io/.
+    """
+    lines = dict(_KITTI_LINE.findall(_read_text(path)))
+    calibration = read_kitti_calibration(path, cameras=_DRIVINGSTEREO_PAIR)
+    translation = _numbers(path, "T_103", _needed(path, lines, "T_103"), 3)
+    return replace(calibration, baseline=math.hypot(*translation) * metres_per_unit)
 
 
 def read_middlebury_calibration(path: PathLike, *, metres_per_unit: float = _MILLIMETRE) -> Calibration:

@@ -112,6 +112,17 @@ def test_kitti_2012_names_no_size_and_has_two_pairs(tmp_path):
         read_kitti_calibration(tmp_path / "a.txt", cameras=("4", "5"))
 
 
+def test_drivingstereo_takes_the_baseline_from_the_translation(tmp_path):
+    doubled = projection(CAMERA, CAMERA.cx1, 2 * CAMERA.baseline)
+    text = f"S_rect_101: 640 480\nP_rect_101: {row(projection(CAMERA, CAMERA.cx0, 0))}\n"
+    text += f"P_rect_103: {row(doubled)}\nT_103: -0.3 0 0.4\n"
+    (tmp_path / "a.txt").write_text(text)
+    assert close(read_calibration(tmp_path / "a.txt"), CAMERA)
+    (tmp_path / "b.txt").write_text(text.replace("T_103", "T"))
+    with pytest.raises(InputError, match="has no line 'T_103'"):
+        read_calibration(tmp_path / "b.txt")
+
+
 def test_middlebury_without_doffs_uses_the_second_camera(tmp_path):
     lines = middlebury(CAMERA).splitlines()
     (tmp_path / "a.txt").write_text("\r\n".join(line for line in lines if not line.startswith("doffs")))

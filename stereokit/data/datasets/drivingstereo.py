@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from stereokit.data.calibration import Calibration, read_kitti_calibration
+from stereokit.data.calibration import Calibration, read_drivingstereo_calibration
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, first_folder, image_names, list_folder, make_dataset
 from stereokit.data.disparity_arrays import PathLike
@@ -67,4 +67,4 @@ def _calibration(folder: Path | None, name: str) -> Source[Calibration] | None:
     sequence = _SEQUENCE.match(name)
     if folder is None or sequence is None or not (folder / f"{sequence[0]}.txt").is_file():
         return None
-    return Source(folder / f"{sequence[0]}.txt", read_kitti_calibration)
+    return Source(folder / f"{sequence[0]}.txt", read_drivingstereo_calibration)

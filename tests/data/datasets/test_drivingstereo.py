@@ -18,6 +18,7 @@ def test_half_size_as_distributed(tmp_path):
     left, right, truth = (tmp_path / f"test-{part}" / SEQUENCE / NAME for part in PARTS)
     write(left.with_suffix(".png"), right.with_suffix(".png"), truth.with_suffix(".png"), 256)
     rows = "".join(f"P_rect_{camera}: {trees.KITTI_ROWS[(camera - 101) // 2]}\n" for camera in (101, 103))
+    rows += "T_103: -0.3 0.0 0.4\n"
     trees.save(tmp_path / "calib" / "half-image-calib" / f"{SEQUENCE}.txt", rows)
     (sample,) = drivingstereo(tmp_path)
     assert sample.name == f"{SEQUENCE}/{NAME}"
