@@ -12,10 +12,20 @@ from stereokit.data.atomic import atomic_path
 from stereokit.data.image_header import ImageHeader, read_image_header
 from stereokit.errors import InputError
 
-__all__ = ["MAX_PIXELS", "read_file_bytes", "read_image", "read_samples", "write_image"]
+__all__ = [
+    "MAX_PIXELS",
+    "read_file_bytes",
+    "read_image",
+    "read_image_size",
+    "read_samples",
+    "write_image",
+    "write_samples",
+]
 
 MAX_PIXELS = 10**8
 """The most pixels a file may claim to hold. Above it a file is refused before memory is reserved for it."""
+
+_MAX_BYTES = 16 * MAX_PIXELS
 
 
 def read_image(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
@@ -39,14 +49,23 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     """
     samples, header = _decode(path)
     rgb = np.repeat(samples[:, :, None], 3, axis=2) if samples.ndim == 2 else samples[:, :, :3]
-    wide = rgb.dtype == np.uint16
-    full = 65535 if wide else 255
+    full = 65535 if rgb.dtype == np.uint16 else 255
     peak = header.peak or full
-    if wide:
-        return np.divide(np.minimum(rgb, peak), peak, dtype=np.float32)
-    if peak != full:
-        return np.minimum((rgb.astype(np.uint16) * full + peak // 2) // peak, full).astype(np.uint8)
+    if full == 65535:
+        rgb = np.divide(np.minimum(rgb, peak), peak, dtype=np.float32)
+    elif peak < full:
+        rgb = ((np.minimum(rgb, peak).astype(np.uint16) * full + peak // 2) // peak).astype(np.uint8)
     return np.ascontiguousarray(rgb)
+
+
+def read_image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Width and height of an image file in pixels, from its header.
+
+    Raises:
+        InputError: as `read_image`.
+    """
+    header = _read_header(path, read_file_bytes(path))
+    return header.width, header.height
 
 
 def read_samples(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
@@ -104,10 +123,16 @@ def write_image(path: str | os.PathLike[str], rgb: npt.NDArray[Any], *, overwrit
 def write_samples(path: str | os.PathLike[str], samples: npt.NDArray[Any], *, overwrite: bool) -> None:
     """Writes sample values as they are: uint8 or uint16, (H, W) or RGB (H, W, 3), in the suffix's format."""
     bgr = samples[:, :, ::-1] if samples.ndim == 3 else samples
+    suffix = Path(path).suffix.lower()
     try:
-        _, encoded = cv2.imencode(Path(path).suffix.lower(), np.ascontiguousarray(bgr))
-    except cv2.error as error:
-        raise InputError(f"{os.fspath(path)!r} can't be encoded: {error}") from error
+        encodable, encoded = cv2.imencode(suffix, np.ascontiguousarray(bgr))
+    except cv2.error:
+        encodable = False
+    if not encodable:
+        raise InputError(
+            f"{os.fspath(path)!r}: {samples.dtype} samples of shape {samples.shape} "
+            f"can't be encoded as {suffix!r}"
+        )
     with atomic_path(path, overwrite=overwrite) as temporary:
         temporary.write_bytes(encoded.tobytes())
 
@@ -116,26 +141,43 @@ def read_file_bytes(path: str | os.PathLike[str], limit: int | None = None) -> b
     """The content of a regular file, or its first `limit` bytes.
 
     Raises:
-        InputError: no such file, a folder, a device, or a file that may not be read.
+        InputError: no such file, a folder, a device, a file that may not be read, or one too large to be a
+            picture of `MAX_PIXELS`.
     """
     name = os.fspath(path)
     try:
         if not os.path.exists(path):
             raise InputError(f"{name!r} does not exist")
         if not os.path.isfile(path):
-            raise InputError(
-                f"{name!r} is {'a folder' if os.path.isdir(path) else 'not a regular file'}, not a file"
-            )
+            kind = "a folder" if os.path.isdir(path) else "a device or a pipe"
+            raise InputError(f"{name!r} is {kind}; expected a file")
+        if limit is None and os.path.getsize(path) > _MAX_BYTES:
+            raise InputError(f"{name!r} has {os.path.getsize(path)} bytes; expected at most {_MAX_BYTES}")
         with open(path, "rb") as file:
             return file.read() if limit is None else file.read(limit)
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{name!r} can't be read: {getattr(error, 'strerror', None) or error}") from error
+    except OSError as error:
+        raise InputError(f"{name!r} can't be read: {error.strerror or error}") from error
 
 
 def _decode(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], ImageHeader]:
     data = read_file_bytes(path)
+    header = _read_header(path, data)
+    try:
+        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        decoded = None
+    if decoded is None:
+        raise InputError(f"{os.fspath(path)!r} is a broken image: its {header.format} data can't be decoded")
+    if decoded.dtype not in (np.uint8, np.uint16):
+        raise InputError(
+            f"{os.fspath(path)!r} holds {decoded.dtype} samples; expected 8 or 16 bits per sample"
+        )
+    if decoded.ndim == 2:
+        return decoded, header
+    return decoded[:, :, [2, 1, 0, 3][: decoded.shape[2]]], header
+
+
+def _read_header(path: str | os.PathLike[str], data: bytes) -> ImageHeader:
     name = os.fspath(path)
     if not data:
         raise InputError(f"{name!r} is empty (0 bytes); expected an image")
@@ -153,14 +195,4 @@ def _decode(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], ImageHeader
             f"{name!r} claims {header.width} x {header.height} pixels; "
             f"expected at least 1 and at most {MAX_PIXELS} in all"
         )
-    try:
-        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        decoded = None
-    if decoded is None:
-        raise InputError(f"{name!r} is a broken image: its {header.format} data can't be decoded")
-    if decoded.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"{name!r} holds {decoded.dtype} samples; expected 8 or 16 bits per sample")
-    if decoded.ndim == 2:
-        return decoded, header
-    return decoded[:, :, [2, 1, 0, 3][: decoded.shape[2]]], header
+    return header

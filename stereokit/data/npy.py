@@ -1,11 +1,12 @@
 """Disparity in NumPy's files, read without ever unpickling and without trusting the header's size."""
 
+import ast
 import io
 import math
 import os
 import zipfile
 import zlib
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +25,7 @@ from stereokit.errors import InputError
 __all__ = ["NPY_MAGIC", "read_npy", "read_npz", "write_npy", "write_npz"]
 
 NPY_MAGIC = b"\x93NUMPY"
-_HEADER_LIMIT = 2**16
-_BROKEN_NPY = (ValueError, EOFError, TypeError, SyntaxError, MemoryError, RecursionError)
+_HEADER_LIMIT = 4096
 _BROKEN_ZIP = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError, ValueError)
 
 
@@ -94,15 +94,8 @@ def _read_stream(path: PathLike, file: IO[bytes]) -> Disparity:
     """Reads an array after checking its header, which decides how much memory is reserved."""
     name = os.fspath(path)
     try:
-        major, _ = np.lib.format.read_magic(io.BytesIO(file.read(len(NPY_MAGIC) + 2)))
-        length_bytes = file.read(2 if major == 1 else 4)
-        length = int.from_bytes(length_bytes, "little")
-        if length > _HEADER_LIMIT:
-            raise ValueError(f"its header claims {length} bytes")
-        header = io.BytesIO(length_bytes + file.read(length))
-        parse = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
-        shape, fortran_order, dtype = parse(header)
-    except _BROKEN_NPY as error:
+        shape, fortran_order, dtype = _read_header(file)
+    except (ValueError, TypeError, KeyError, SyntaxError, MemoryError, RecursionError) as error:
         raise InputError(
             f"{name!r} is a broken npy: {(str(error) or repr(error)).splitlines()[0]}"
         ) from error
@@ -114,3 +107,18 @@ def _read_stream(path: PathLike, file: IO[bytes]) -> Disparity:
     if len(data) < expected:
         raise InputError(f"{name!r} is truncated: {expected} bytes of data announced, {len(data)} there")
     return unknown_to_nan(np.frombuffer(data, dtype).reshape(shape, order="F" if fortran_order else "C"))
+
+
+def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type, which `numpy.lib.format` writes as magic, version, length and a literal."""
+    start = file.read(8)
+    if start[:6] != NPY_MAGIC or start[6:7] not in (b"\1", b"\2", b"\3"):
+        raise ValueError("it does not begin as one of version 1 to 3 does")
+    length = int.from_bytes(file.read(2 if start[6] == 1 else 4), "little")
+    if length > _HEADER_LIMIT:
+        raise ValueError(f"its header claims {length} bytes")
+    header = ast.literal_eval(file.read(length).decode("utf-8").strip())
+    shape, dtype = header["shape"], np.dtype(header["descr"])
+    if not (isinstance(shape, tuple) and all(isinstance(side, int) for side in shape)):
+        raise ValueError("its shape is not made of whole numbers")
+    return shape, bool(header["fortran_order"]), dtype

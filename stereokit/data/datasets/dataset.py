@@ -1,0 +1,171 @@
+"""What every data set of stereo pairs is: a sequence of `StereoSample`, each read when it is asked for."""
+
+import copy
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from stereokit.data.calibration import Calibration
+from stereokit.data.disparity_arrays import Disparity
+from stereokit.data.images import read_image
+from stereokit.errors import InputError
+from stereokit.registry import Registry
+
+__all__ = ["DATASETS", "Mask", "Source", "StereoDataset", "StereoEntry", "StereoSample"]
+
+DATASETS = Registry("datasets", kind="data set")
+"""The kinds of data set by name. Each entry is called with `root`, and with `split` and its own options."""
+
+Mask = npt.NDArray[np.bool_]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class StereoSample:
+    """A rectified pair and what is known about it, with x_right = x_left - disparity.
+
+    Attributes:
+        name: of the pair, unique in its data set.
+        left: RGB, (H, W, 3), uint8 or float32 in [0, 1].
+        right: the same, of the same size.
+        disparity: (H, W) float32 in pixels of the left image, NaN where unknown. None without ground truth.
+        nonocc: (H, W) bool, True where the left pixel is seen by the right camera too. None where that is
+            unknown.
+        objects: (H, W) uint8, 0 for the background and a number for each foreground object (KITTI 2015). None
+            without such a map.
+        calibration: of the pair, at this size. None where it is unknown.
+
+    Raises:
+        InputError: the parts are not of one size.
+    """
+
+    name: str
+    left: npt.NDArray[Any]
+    right: npt.NDArray[Any]
+    disparity: Disparity | None = None
+    nonocc: Mask | None = None
+    objects: npt.NDArray[np.uint8] | None = None
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        height, width = self.left.shape[:2]
+        parts = {
+            "right image": self.right,
+            "ground truth": self.disparity,
+            "non-occluded mask": self.nonocc,
+            "object map": self.objects,
+        }
+        for part, values in parts.items():
+            if values is not None and values.shape[:2] != (height, width):
+                raise InputError(
+                    f"pair {self.name!r}: the {part} is {values.shape[1]} x {values.shape[0]} pixels, "
+                    f"the left image {width} x {height}; expected one size"
+                )
+
+
+@dataclass(frozen=True)
+class Source(Generic[T]):
+    """A file and the function that reads it."""
+
+    path: Path
+    read: Callable[[Path], T]
+
+    def __call__(self) -> T:
+        """Reads the file."""
+        return self.read(self.path)
+
+    @classmethod
+    def within(cls, folder: Path, name: str, read: Callable[[Path], T]) -> "Source[T] | None":
+        """A file of a folder, or None where the folder is not there: that part of the data was not fetched.
+
+        Where the folder is there, a missing file is an error, found by `StereoDataset.missing_files`.
+        """
+        return cls(folder / name, read) if folder.is_dir() else None
+
+
+@dataclass(frozen=True)
+class StereoEntry:
+    """Where the parts of a `StereoSample` lie."""
+
+    name: str
+    left: Path
+    right: Path
+    disparity: Source[Disparity] | None = None
+    nonocc: Source[Mask] | None = None
+    objects: Source[npt.NDArray[np.uint8]] | None = None
+    calibration: Source[Calibration] | None = None
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All files that the entry names."""
+        sources = (self.disparity, self.nonocc, self.objects, self.calibration)
+        return (self.left, self.right, *(source.path for source in sources if source is not None))
+
+    def read(self) -> StereoSample:
+        """Reads the pair.
+
+        Raises:
+            InputError: a missing or broken file, or parts of different sizes.
+        """
+        return StereoSample(
+            name=self.name,
+            left=read_image(self.left),
+            right=read_image(self.right),
+            disparity=self.disparity() if self.disparity else None,
+            nonocc=self.nonocc() if self.nonocc else None,
+            objects=self.objects() if self.objects else None,
+            calibration=self.calibration() if self.calibration else None,
+        )
+
+
+class StereoDataset(Sequence[StereoSample]):
+    """A sequence of stereo pairs, read from disk one at a time.
+
+    It is what `torch.utils.data.DataLoader` takes for a map-style data set, and can be sent to its workers. A
+    slice is a data set of fewer pairs.
+
+    Args:
+        kind: the name of the kind, such as "kitti2012".
+        root: the folder or file that it was opened with.
+        split: which part of it this is.
+        entries: where the pairs lie.
+    """
+
+    def __init__(self, kind: str, root: Path, split: str, entries: Sequence[StereoEntry]) -> None:
+        self.kind = kind
+        self.root = root
+        self.split = split
+        self.entries = tuple(entries)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int) -> StereoSample: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> "StereoDataset": ...
+
+    def __getitem__(self, index: int | slice) -> "StereoSample | StereoDataset":
+        if isinstance(index, slice):
+            part = copy.copy(self)
+            part.entries = self.entries[index]
+            return part
+        return self.entries[index].read()
+
+    def __iter__(self) -> Iterator[StereoSample]:
+        return (entry.read() for entry in self.entries)
+
+    def __repr__(self) -> str:
+        return (
+            f"StereoDataset({self.kind!r}, {os.fspath(self.root)!r}, split={self.split!r}, {len(self)} pairs)"
+        )
+
+    def missing_files(self) -> list[Path]:
+        """The files of the data set that are not there."""
+        return [path for entry in self.entries for path in entry.paths if not path.is_file()]

@@ -1,0 +1,99 @@
+"""How the data sets find their files, and what they say where they find others."""
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from stereokit.data.datasets.dataset import StereoDataset, StereoEntry
+from stereokit.errors import InputError
+
+__all__ = [
+    "IMAGE_SUFFIXES",
+    "check_choice",
+    "check_number",
+    "first_folder",
+    "image_names",
+    "images_in",
+    "list_folder",
+    "make_dataset",
+]
+
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".webp", ".bmp", ".tif", ".tiff"}
+
+
+def check_choice(what: str, given: str, allowed: Sequence[str]) -> str:
+    """The choice, if it is an allowed one.
+
+    Raises:
+        InputError: it is not.
+    """
+    if given not in allowed:
+        raise InputError(f"unknown {what} {given!r}; expected one of {', '.join(allowed)}")
+    return given
+
+
+def first_folder(candidates: Iterable[Path]) -> Path | None:
+    """The first of the folders that is there."""
+    return next((folder for folder in candidates if folder.is_dir()), None)
+
+
+def list_folder(folder: Path) -> list[Path]:
+    """The visible content of a folder, sorted by name; nothing where it is none."""
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+
+
+def images_in(folder: Path) -> list[Path]:
+    """The image files in a folder, sorted by name."""
+    return [path for path in list_folder(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
+
+
+def image_names(left: Path, right: Path) -> list[str]:
+    """The names of the images in either of two folders, sorted, so that a missing view is noticed."""
+    return sorted({path.name for folder in (left, right) for path in images_in(folder)})
+
+
+def check_number(what: str, given: float | str) -> float:
+    """A number, which may come as text from a command line.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        return float(given)
+    except ValueError:
+        raise InputError(f"{what} must be a number, got {given!r}") from None
+
+
+def make_dataset(
+    kind: str, root: Path, split: str, entries: Sequence[StereoEntry], *, expected: Sequence[str]
+) -> StereoDataset:
+    """The data set of these entries.
+
+    Raises:
+        InputError: there are none, and the message shows the tree that was expected and the one that was
+            found; or two have one name.
+    """
+    if not entries:
+        raise InputError(
+            f"no pairs of {kind}, split {split!r}, in {os.fspath(root)!r}: "
+            f"expected {' or '.join(expected)}; found {_describe(root)}"
+        )
+    name, count = Counter(entry.name for entry in entries).most_common(1)[0]
+    if count > 1:
+        raise InputError(
+            f"{count} pairs of {kind} in {os.fspath(root)!r} have the name {name!r}; expected one"
+        )
+    return StereoDataset(kind, root, split, entries)
+
+
+def _describe(root: Path) -> str:
+    if not root.exists():
+        return "nothing, it does not exist"
+    if not root.is_dir():
+        return "a file"
+    names = [path.name + "/" * path.is_dir() for path in list_folder(root)]
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return ", ".join(names[:8]) + more if names else "an empty folder"

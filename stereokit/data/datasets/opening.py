@@ -1,0 +1,61 @@
+"""A data set by its name and place."""
+
+import os
+from typing import Any
+
+from stereokit.data.datasets.dataset import DATASETS, StereoDataset
+from stereokit.errors import InputError
+
+__all__ = ["open_dataset"]
+
+
+def open_dataset(
+    spec: str, *, split: str | None = None, allow_missing: bool = False, **options: Any
+) -> StereoDataset:
+    """Opens a data set that lies on disk.
+
+    Args:
+        spec: "KIND:ROOT", such as "kitti2012:/data/kitti2012". KIND may carry a split and options, so that a
+            command line can say all in one word: "kitti2015/val:ROOT",
+            "sceneflow/test,image_pass=cleanpass:ROOT". The kinds are those of `DATASETS`.
+        split: which part, where `spec` does not say. Each kind has its own and a default.
+        allow_missing: open it although files are missing; reading such a pair then fails.
+        **options: of the kind, such as `resolution="Q"` for "middlebury_v3".
+
+    Raises:
+        ConfigError: an unknown kind, or an option that it does not take.
+        InputError: another tree than the kind's, an unknown split, or files that are missing.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from stereokit.data import write_disparity, write_image
+    >>> root = pathlib.Path(tempfile.mkdtemp())
+    >>> for view in ("left", "right"):
+    ...     write_image(root / f"{view}.png", np.zeros((4, 6, 3), np.uint8))
+    >>> write_disparity(root / "disparity.pfm", np.ones((4, 6)))
+    >>> dataset = open_dataset(f"folder:{root}")
+    >>> len(dataset), dataset[0].disparity.shape
+    (1, (4, 6))
+    """
+    head, colon, root = spec.partition(":")
+    if not (colon and head and root):
+        raise InputError(
+            f"{spec!r} names no data set; expected KIND:ROOT, with KIND one of {', '.join(DATASETS.names())}"
+        )
+    kind, *words = head.split(",")
+    kind, slash, given_split = kind.partition("/")
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals:
+            raise InputError(f"{spec!r}: expected an option as NAME=VALUE, got {word!r}")
+        options[key] = value
+    if slash or split is not None:
+        options["split"] = given_split if slash else split
+    dataset: StereoDataset = DATASETS.build(kind, {"root": root, **options})
+    missing = [] if allow_missing else dataset.missing_files()
+    if missing:
+        raise InputError(
+            f"{kind} in {root!r} is not whole: {len(missing)} of its files are missing, "
+            f"the first is {os.path.relpath(missing[0], root)!r}"
+        )
+    return dataset
