@@ -13,24 +13,45 @@ from stereokit.backbones import ResidualTower, SpatialPyramid, UNet
 from stereokit.builder import build_model
 from stereokit.costs import ConcatenationVolume, CorrelationVolume, GroupwiseCorrelationVolume
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
+from stereokit.inference import DisparityResult, Predictor
+from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel, StereoOutput
 from stereokit.models import coex, gcnet, psmnet
 from stereokit.published import load_published
-from stereokit.registry import list_components, list_models
+from stereokit.registry import (
+    AGGREGATIONS,
+    BACKBONES,
+    COSTS,
+    GUIDANCE,
+    MODELS,
+    REGRESSIONS,
+    UPSAMPLERS,
+    list_components,
+    list_models,
+)
 from stereokit.regression import SoftArgmin, SuperpixelUpsampler, TopKSoftArgmin
 
 __all__ = [
+    "AGGREGATIONS",
+    "BACKBONES",
+    "COSTS",
     "GCE",
+    "GUIDANCE",
+    "MODELS",
+    "REGRESSIONS",
+    "UPSAMPLERS",
     "AdditiveGuidance",
     "CheckpointError",
     "ConcatenationVolume",
     "ConfigError",
     "CorrelationVolume",
+    "DisparityResult",
     "EncoderDecoder",
     "GroupwiseCorrelationVolume",
     "Hourglass",
     "InputError",
     "NeighborhoodAggregation",
+    "Predictor",
     "ResidualTower",
     "SoftArgmin",
     "SpatialPyramid",
@@ -49,4 +70,5 @@ __all__ = [
     "list_models",
     "load_published",
     "psmnet",
+    "stereo_loss",
 ]
