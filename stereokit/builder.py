@@ -129,7 +129,8 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     backbone = slots["backbone"].build(pretrained=pretrained)
     info: FeatureInfo = backbone.info
     stride, max_disparity = info.matching_stride, choice["max_disparity"]
-    check_max_disparity(max_disparity, stride, f"the features of {slots['backbone']}")
+    step = stride * getattr(slots["aggregation"].source, "multiple", 1)
+    check_max_disparity(max_disparity, step, f"{slots['backbone']} (stride {stride}) and {slots['aggregation']}")
     cost = slots["cost"].build(in_channels=info.matching_channels, levels=max_disparity // stride)
     aggregation = slots["aggregation"].build(
         in_channels=cost.out_channels,
@@ -162,8 +163,10 @@ class _Slot:
         self.slot = slot
         self.registry = SLOTS[slot]
         self.block: nn.Module | None = None
+        self.source: Any
+        """The block or its class: says what it needs before it is built."""
         if isinstance(choice, nn.Module):
-            self.block = choice
+            self.block = self.source = choice
             self.resolved: Component = {"instance": f"{type(choice).__module__}.{type(choice).__qualname__}"}
             return
         default: Component = recipe[slot]  # type: ignore[literal-required]
@@ -179,14 +182,18 @@ class _Slot:
             )
         arguments = dict(given)
         name = arguments.pop("name", default["name"])
-        if slot == "backbone" and name not in BACKBONES and isinstance(name, str) and is_timm_model(name):
+        if slot == "backbone" and isinstance(name, str) and name not in BACKBONES:
+            if not is_timm_model(name):
+                raise ConfigError(
+                    f"unknown backbone {name!r}; {suggest(name, BACKBONES.names())}, or the name of a timm model"
+                )
             arguments["encoder"] = name
             name = "unet"
         own = {k: v for k, v in default.items() if k != "name"} if name == default["name"] else {}
         self.name: str = name
         self.arguments = {**presets.get(slot, {}).get(name, {}), **own, **arguments}
         self.resolved = {"name": name, **self.arguments}
-        self.registry.get(name)
+        self.source = self.registry.get(name)
 
     def __str__(self) -> str:
         return f"{self.slot} {self.resolved.get('name', self.resolved.get('instance'))!r}"

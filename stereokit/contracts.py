@@ -169,16 +169,21 @@ def check_contracts(
     Raises:
         ConfigError: names both blocks, what the one gives and what the other wants.
     """
-    names = {
-        slot: f"{slot} {type(block).__name__}"
-        for slot, block in {
-            "backbone": backbone,
-            "cost": cost,
-            "aggregation": aggregation,
-            "regression": regression,
-            "upsampler": upsampler,
-        }.items()
+    blocks = {
+        "backbone": (backbone, Backbone),
+        "cost": (cost, Cost),
+        "aggregation": (aggregation, Aggregation),
+        "regression": (regression, Regression),
+        "upsampler": (upsampler, Upsampler),
     }
+    names = {slot: f"{slot} {type(block).__name__}" for slot, (block, _) in blocks.items()}
+    for slot, (block, contract) in blocks.items():
+        owed = [*contract.__annotations__, *(k for k in vars(contract) if not k.startswith("_"))]
+        missing = [name for name in owed if not hasattr(block, name)]
+        if missing:
+            raise ConfigError(
+                f"{names[slot]} lacks {', '.join(missing)}, which stereokit.contracts.{contract.__name__} wants of it"
+            )
     info = backbone.info
     stride = info.matching_stride
 

@@ -98,6 +98,9 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         )
         if padding not in ("replicate", "zeros"):
             raise ConfigError(f"padding={padding!r} is unknown; 'replicate' or 'zeros' would do")
+        for name, values in (("mean", mean), ("std", std)):
+            if isinstance(values, str) or len(values) != 3 or not all(isinstance(v, float | int) for v in values):
+                raise ConfigError(f"{name} is one number for each of red, green and blue, not {values!r}")
         self.backbone = backbone
         self.cost = cost
         self.aggregation = aggregation
@@ -152,9 +155,9 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         if self.training:
             auxiliary = full[:-1]
             if self.upsampler.learned:
-                auxiliary.append(self._enlarge(coarse[-1], images))
+                auxiliary.append(self._enlarge(coarse[-1]))
         else:
-            confidence = self._enlarge(self.regression.confidence(distributions[-1]), images)
+            confidence = self._enlarge(self.regression.confidence(distributions[-1]))
             confidence = confidence[:, :height, :width]
         return StereoOutput(
             disparity=full[-1][:, :height, :width],
@@ -212,8 +215,9 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         """The upsampler acts before the regression, on logits, or after it, on disparities."""
         return self.upsampler(x, guides) if self.upsampler.domain == domain else x
 
-    def _enlarge(self, x: Tensor, images: Tensor) -> Tensor:
-        return bilinear_upsample(x, images.shape[-1] // x.shape[-1])
+    def _enlarge(self, x: Tensor) -> Tensor:
+        """From the stride of the regression to full resolution, by interpolation."""
+        return bilinear_upsample(x, self.upsampler.scale) if self.upsampler.domain == "disparity" else x
 
     def _check_images(self, left: Tensor, right: Tensor) -> None:
         for name, image in (("left", left), ("right", right)):

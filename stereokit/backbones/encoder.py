@@ -114,7 +114,8 @@ def _create(name: str, **arguments: Any) -> Any:
         raise ConfigError(f"unknown timm model {name!r}; {near}see timm.list_models()")
     try:
         return timm.create_model(name, **arguments)
-    except (RuntimeError, AssertionError) as error:
+    except (OSError, RuntimeError, AssertionError) as error:
+        reason = str(error).strip().split("\n")[0]
         if arguments.get("pretrained"):
-            raise ConfigError(f"timm could not load pretrained weights for {name!r}: {error}") from error
-        raise ConfigError(f"timm model {name!r} gives no feature pyramid: {error}") from error
+            raise ConfigError(f"timm could not load pretrained weights for {name!r}: {reason}") from error
+        raise ConfigError(f"timm model {name!r} gives no feature pyramid: {reason}") from error
