@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias, TypedDict, cast
 from torch import nn
 
 from stereokit.backbones.encoder import is_timm_model
-from stereokit.contracts import FeatureInfo, GuidanceFactory, check_max_disparity
+from stereokit.contracts import FeatureInfo, GuidanceFactory, check_interface, check_max_disparity
 from stereokit.errors import ConfigError
 from stereokit.model import StereoModel
 from stereokit.registry import (
@@ -102,6 +102,8 @@ def build_model(model: str | Mapping[str, Any], **overrides: Any) -> Any:
     name = settings.pop("name", None)
     if not isinstance(name, str):
         raise ConfigError(f"a configuration holds the name of its model, one of {', '.join(MODELS.names())}")
+    if "top_k" in overrides:
+        settings.pop("regression", None)
     return MODELS.get(name)(**{**settings, **overrides})
 
 
@@ -182,7 +184,9 @@ class _Slot:
             )
         arguments = dict(given)
         name = arguments.pop("name", default["name"])
-        if slot == "backbone" and isinstance(name, str) and name not in BACKBONES:
+        if not isinstance(name, str):
+            raise ConfigError(f"the name of a {slot} is a string, not {name!r}")
+        if slot == "backbone" and name not in BACKBONES:
             if not is_timm_model(name):
                 raise ConfigError(
                     f"unknown backbone {name!r}; {suggest(name, BACKBONES.names())}, or the name of a timm model"
@@ -201,11 +205,18 @@ class _Slot:
     def build(self, **offered: Any) -> Any:
         """The block; `offered` is what its neighbours decide."""
         if self.block is not None:
+            if offered.get("pretrained"):
+                raise ConfigError(f"{self} was passed in as a module, with its weights: leave out pretrained_backbone")
+            check_interface(self.slot, self.block)
             return self.block
         if offered.get("pretrained") and "pretrained" not in self.registry.parameters(self.name):
             raise ConfigError(f"{self} has no pretrained weights to load")
         self.resolved = {"name": self.name, **self.registry.resolve(self.name, self.arguments, offered)}
-        return self.registry.build(self.name, self.arguments, offered)
+        # the weights that a block starts from are no part of what it is: a saved network brings its own
+        self.resolved.pop("pretrained", None)
+        block = self.registry.build(self.name, self.arguments, offered)
+        check_interface(self.slot, block)
+        return block
 
     def factory(self) -> GuidanceFactory | None:
         """For the guidance slot: what an aggregation calls at each of its guidance points."""

@@ -12,7 +12,7 @@ fits. Strides are in pixels of the padded input: a map of stride 4 has a quarter
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol
 
 from torch import Tensor, nn
 
@@ -30,6 +30,7 @@ __all__ = [
     "Regression",
     "Upsampler",
     "check_contracts",
+    "check_interface",
 ]
 
 Guides = Mapping[int, Tensor]
@@ -80,7 +81,6 @@ class GuidanceFactory(Protocol):
         """A module ``(volume (B, C, D, H, W), guide (B, G, H, W)) -> volume`` of the volume's shape."""
 
 
-@runtime_checkable
 class Backbone(Protocol):
     """Images to features, shared by both views."""
 
@@ -92,7 +92,6 @@ class Backbone(Protocol):
         """(B, 3, H, W) normalised images to features."""
 
 
-@runtime_checkable
 class Cost(Protocol):
     """Left and right matching features to a cost volume."""
 
@@ -104,7 +103,6 @@ class Cost(Protocol):
         """Two (B, in_channels, h, w) maps to (B, out_channels, levels, h, w)."""
 
 
-@runtime_checkable
 class Aggregation(Protocol):
     """Cost volume to logits, with the help of the guides."""
 
@@ -125,7 +123,6 @@ class Aggregation(Protocol):
         """
 
 
-@runtime_checkable
 class Regression(Protocol):
     """Logits to disparity, in levels."""
 
@@ -139,7 +136,6 @@ class Regression(Protocol):
         """(B, D, h, w) logits to (B, h, w) in [0, 1]: the probability mass behind the estimate."""
 
 
-@runtime_checkable
 class Upsampler(Protocol):
     """From the stride of the logits to full resolution."""
 
@@ -155,6 +151,26 @@ class Upsampler(Protocol):
         """Logits (B, D, h, w) to (B, D * scale, H, W), or disparity (B, h, w) to (B, H, W), its values unchanged."""
 
 
+_PROTOCOLS: Mapping[str, type] = {
+    "backbone": Backbone,
+    "cost": Cost,
+    "aggregation": Aggregation,
+    "regression": Regression,
+    "upsampler": Upsampler,
+}
+
+
+def check_interface(slot: str, block: object) -> None:
+    """Raises `ConfigError` unless a block has all the attributes of its slot; names those that it lacks."""
+    protocol = _PROTOCOLS[slot]
+    wanted = (name for name in (*protocol.__annotations__, *vars(protocol)) if not name.startswith("_"))
+    missing = [name for name in wanted if not hasattr(block, name)]
+    if missing:
+        raise ConfigError(
+            f"{slot} {type(block).__name__} lacks {', '.join(missing)}; see stereokit.contracts.{protocol.__name__}"
+        )
+
+
 def check_contracts(
     *,
     backbone: Backbone,
@@ -167,23 +183,18 @@ def check_contracts(
     """Holds each block to what its neighbours give.
 
     Raises:
-        ConfigError: names both blocks, what the one gives and what the other wants.
+        ConfigError: names both blocks, what the one gives and what the other wants; or a block and what it lacks.
     """
     blocks = {
-        "backbone": (backbone, Backbone),
-        "cost": (cost, Cost),
-        "aggregation": (aggregation, Aggregation),
-        "regression": (regression, Regression),
-        "upsampler": (upsampler, Upsampler),
+        "backbone": backbone,
+        "cost": cost,
+        "aggregation": aggregation,
+        "regression": regression,
+        "upsampler": upsampler,
     }
-    names = {slot: f"{slot} {type(block).__name__}" for slot, (block, _) in blocks.items()}
-    for slot, (block, contract) in blocks.items():
-        owed = [*contract.__annotations__, *(k for k in vars(contract) if not k.startswith("_"))]
-        missing = [name for name in owed if not hasattr(block, name)]
-        if missing:
-            raise ConfigError(
-                f"{names[slot]} lacks {', '.join(missing)}, which stereokit.contracts.{contract.__name__} wants of it"
-            )
+    for slot, block in blocks.items():
+        check_interface(slot, block)
+    names = {slot: f"{slot} {type(block).__name__}" for slot, block in blocks.items()}
     info = backbone.info
     stride = info.matching_stride
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from torch import Tensor, nn
 
-__all__ = ["ConvNormAct", "crop_to", "init_convolutions"]
+__all__ = ["ConvNormAct", "at_least_float32", "crop_to", "init_convolutions"]
 
 Activation = Callable[[], nn.Module]
 
@@ -79,6 +79,14 @@ class ConvNormAct(nn.Sequential):
         if activation is not None:
             layers.append(activation())
         super().__init__(*layers)
+
+
+def at_least_float32(x: Tensor) -> Tensor:
+    """Half precision to single; float64 stays. For norms, distributions and disparities.
+
+    Sums of squares overflow in float16, and bfloat16 has steps of half a pixel at 100.
+    """
+    return x.float() if x.dtype.itemsize == 2 else x
 
 
 def crop_to(x: Tensor, like: Tensor) -> Tensor:

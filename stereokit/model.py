@@ -1,13 +1,11 @@
 """The network: one choice per slot."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 from huggingface_hub import ModelHubMixin
-from huggingface_hub.errors import HFValidationError
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -21,8 +19,8 @@ from stereokit.contracts import (
     input_multiple,
     regression_levels,
 )
-from stereokit.errors import CheckpointError, ConfigError, InputError
-from stereokit.pretrained import load_folder, save_folder
+from stereokit.errors import ConfigError, InputError
+from stereokit.pretrained import load_folder, save_folder, saved_config
 from stereokit.regression.interpolation import bilinear_upsample
 
 if TYPE_CHECKING:
@@ -98,9 +96,6 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         )
         if padding not in ("replicate", "zeros"):
             raise ConfigError(f"padding={padding!r} is unknown; 'replicate' or 'zeros' would do")
-        for name, values in (("mean", mean), ("std", std)):
-            if isinstance(values, str) or len(values) != 3 or not all(isinstance(v, float | int) for v in values):
-                raise ConfigError(f"{name} is one number for each of red, green and blue, not {values!r}")
         self.backbone = backbone
         self.cost = cost
         self.aggregation = aggregation
@@ -111,8 +106,8 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         self._config = config
         self.multiple = input_multiple(backbone, aggregation)
         self.pixels_per_level = max_disparity // regression_levels(max_disparity, upsampler.scale, upsampler)
-        self.register_buffer("mean", torch.tensor(mean).reshape(3, 1, 1), persistent=False)
-        self.register_buffer("std", torch.tensor(std).reshape(3, 1, 1), persistent=False)
+        self.register_buffer("mean", per_channel("mean", mean), persistent=False)
+        self.register_buffer("std", per_channel("std", std, positive=True), persistent=False)
 
     @property
     def config(self) -> "ModelConfig":
@@ -166,6 +161,20 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
             logits=heads[-1] if return_logits else None,
         )
 
+    def save_pretrained(self, save_directory: str | Path, **hub_arguments: Any) -> str | None:
+        """Writes the configuration and the weights into a folder, from where `from_pretrained` reads them.
+
+        Args:
+            save_directory: the folder; a network that is already there is replaced.
+            hub_arguments: `push_to_hub`, `repo_id`, .. of `huggingface_hub.ModelHubMixin`.
+
+        Raises:
+            ConfigError: a block of the network was passed in as a module, so that its configuration can't rebuild it.
+        """
+        # ahead of the mixin, which begins by deleting the configuration that is there
+        saved_config(self)
+        return super().save_pretrained(save_directory, **hub_arguments)
+
     def _save_pretrained(self, save_directory: Path) -> None:
         save_folder(self, save_directory)
 
@@ -180,17 +189,7 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         Raises:
             CheckpointError: there is no such network, or its files are damaged.
         """
-        try:
-            return super().from_pretrained(folder_or_id, **hub_arguments)
-        except (OSError, HFValidationError, json.JSONDecodeError) as error:
-            reason = str(error).strip().splitlines()[0]
-            raise CheckpointError(f"no saved network to read at {str(folder_or_id)!r}: {reason}") from error
-
-    @classmethod
-    def _from_pretrained(
-        cls, *, model_id: str, config: dict[str, Any] | None = None, **hub_arguments: Any
-    ) -> "StereoModel":
-        return load_folder(model_id, config, **hub_arguments)
+        return load_folder(str(folder_or_id), **hub_arguments)
 
     def _normalise(self, images: Tensor) -> Tensor:
         if images.dtype == torch.uint8:
@@ -227,6 +226,20 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
                 raise InputError(f"the {name} images are uint8, or float in [0, 1]; got {image.dtype}")
         if left.shape != right.shape:
             raise InputError(f"left and right differ in size: {tuple(left.shape)} and {tuple(right.shape)}")
+        if left.dtype != right.dtype:
+            raise InputError(f"left and right differ in type: {left.dtype} and {right.dtype}")
         if min(left.shape[-2:]) < MIN_SIZE:
             height, width = left.shape[-2:]
             raise InputError(f"images are at least {MIN_SIZE} x {MIN_SIZE} pixels; got {height} x {width}")
+
+
+def per_channel(name: str, values: Sequence[float], *, positive: bool = False) -> Tensor:
+    """One number per RGB channel, as (3, 1, 1)."""
+    try:
+        tensor = torch.tensor(values, dtype=torch.float32)
+    except (TypeError, ValueError, RuntimeError):
+        tensor = torch.empty(0)
+    if tensor.shape != (3,) or not tensor.isfinite().all() or (positive and not (tensor > 0).all()):
+        kind = "positive numbers" if positive else "numbers"
+        raise ConfigError(f"{name} is three {kind}, one per RGB channel; got {values!r}")
+    return tensor.reshape(3, 1, 1)

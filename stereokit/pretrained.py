@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from huggingface_hub import hf_hub_download
+from huggingface_hub.errors import HFValidationError
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
@@ -17,16 +18,17 @@ from stereokit.data.atomic import atomic_path
 from stereokit.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:
+    from stereokit.builder import ModelConfig
     from stereokit.model import StereoModel
 
-__all__ = ["CONFIG_NAME", "WEIGHTS_NAME", "load_folder", "load_state", "save_folder"]
+__all__ = ["CONFIG_NAME", "WEIGHTS_NAME", "load_folder", "load_state", "save_folder", "saved_config"]
 
 CONFIG_NAME = "config.json"
 WEIGHTS_NAME = "model.safetensors"
 
 
-def save_folder(model: "StereoModel", folder: Path) -> None:
-    """Writes the configuration and the weights of a network; each file appears whole or not at all.
+def saved_config(model: "StereoModel") -> "ModelConfig":
+    """The configuration of a network, if it rebuilds the network.
 
     Raises:
         ConfigError: a block of the network was passed in as a module, so that its configuration can't rebuild it.
@@ -38,18 +40,27 @@ def save_folder(model: "StereoModel", folder: Path) -> None:
             f"the {' and '.join(foreign)} of this network was passed in as a module, which a configuration can't "
             "rebuild; register its class and build the network with its name, or save model.state_dict()"
         )
+    return config
+
+
+def save_folder(model: "StereoModel", folder: Path) -> None:
+    """Writes the configuration and the weights of a network; each file appears whole or not at all.
+
+    Raises:
+        ConfigError: see `saved_config`.
+    """
+    config = saved_config(model)
     with atomic_path(folder / WEIGHTS_NAME, overwrite=True) as temporary:
         save_file({k: v.contiguous() for k, v in model.state_dict().items()}, temporary)
     with atomic_path(folder / CONFIG_NAME, overwrite=True) as temporary:
         temporary.write_text(json.dumps({"stereokit": __version__, "network": config}, indent=2) + "\n")
 
 
-def load_folder(folder_or_id: str, config: Mapping[str, Any] | None, **hub_arguments: Any) -> "StereoModel":
+def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoModel":
     """Builds the network that a configuration describes and loads its weights, in eval mode.
 
     Args:
         folder_or_id: a folder, or a repository of the Hugging Face hub.
-        config: the content of its `config.json`.
         hub_arguments: of `huggingface_hub.hf_hub_download`.
 
     Raises:
@@ -58,11 +69,14 @@ def load_folder(folder_or_id: str, config: Mapping[str, Any] | None, **hub_argum
     # the builder imports the model, which imports this module
     from stereokit.builder import build_model
 
+    path = _fetch(folder_or_id, CONFIG_NAME, hub_arguments)
+    try:
+        config = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"the configuration {path!r} can't be read: {error}") from error
     if not isinstance(config, Mapping) or not isinstance(config.get("network"), Mapping):
-        raise CheckpointError(f"{folder_or_id!r} holds no {CONFIG_NAME} of a stereokit network")
-    path = os.path.join(folder_or_id, WEIGHTS_NAME)
-    if not os.path.isdir(folder_or_id):
-        path = hf_hub_download(folder_or_id, WEIGHTS_NAME, **hub_arguments)
+        raise CheckpointError(f"{path!r} is not the configuration of a stereokit network")
+    path = _fetch(folder_or_id, WEIGHTS_NAME, hub_arguments)
     try:
         state = load_file(path)
     except (OSError, SafetensorError) as error:
@@ -70,6 +84,18 @@ def load_folder(folder_or_id: str, config: Mapping[str, Any] | None, **hub_argum
     model: StereoModel = build_model(config["network"])
     load_state(model, state, path)
     return model.eval()
+
+
+def _fetch(folder_or_id: str, name: str, hub_arguments: Mapping[str, Any]) -> str:
+    if os.path.isdir(folder_or_id):
+        return os.path.join(folder_or_id, name)
+    try:
+        return hf_hub_download(folder_or_id, name, **hub_arguments)
+    except (OSError, HFValidationError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise CheckpointError(
+            f"{folder_or_id!r} is no folder, and can't be read as a repository of the hub: {reason}"
+        ) from error
 
 
 def load_state(model: torch.nn.Module, state: Mapping[str, Tensor], source: str) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
-from stereokit.errors import ConfigError
+from stereokit.errors import ConfigError, StereoKitError
 
 __all__ = [
     "AGGREGATIONS",
@@ -123,7 +123,7 @@ class Registry:
             offered: what the neighbouring blocks decide, such as channels. The component gets those it names.
 
         Raises:
-            ConfigError: unknown name, unknown argument or missing argument.
+            ConfigError: unknown name, unknown argument or missing argument, or one that the component can't work with.
         """
         parameters = self.parameters(name)
         self._check(name, arguments, parameters)
@@ -136,7 +136,13 @@ class Registry:
         ]
         if missing:
             raise ConfigError(f"{self.kind} {name!r} needs the argument {', '.join(missing)}, which was not given")
-        return self.get(name)(**merged)
+        try:
+            return self.get(name)(**merged)
+        except StereoKitError:
+            raise
+        except (TypeError, ValueError) as error:
+            given = ", ".join(f"{k}={v!r}" for k, v in arguments.items()) or "its defaults"
+            raise ConfigError(f"{self.kind} {name!r} can't be built with {given}: {error}") from error
 
     def resolve(self, name: str, arguments: Mapping[str, Any], offered: Mapping[str, Any]) -> dict[str, Any]:
         """All arguments with which `build` would call the component, less the offered ones: its full configuration."""

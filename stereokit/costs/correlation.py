@@ -9,6 +9,7 @@ from torch.nn import functional as F
 from stereokit.costs.projection import Projection
 from stereokit.costs.shift import check_features, inner_products
 from stereokit.errors import ConfigError, InputError
+from stereokit.layers import at_least_float32
 from stereokit.registry import COSTS
 
 __all__ = [
@@ -87,8 +88,8 @@ def groupwise_correlation_volume(
 
 
 def _normalise(x: Tensor) -> Tensor:
-    # autocast would take the norm in half precision; the eps keeps all-zero features finite
-    return F.normalize(x.float() if x.dtype.itemsize == 2 else x, dim=1, eps=EPS).to(x.dtype)
+    # the eps keeps all-zero features finite
+    return F.normalize(at_least_float32(x), dim=1, eps=EPS).to(x.dtype)
 
 
 @COSTS.register("correlation")

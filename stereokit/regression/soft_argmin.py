@@ -4,6 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.errors import ConfigError, InputError
+from stereokit.layers import at_least_float32
 from stereokit.registry import REGRESSIONS
 
 __all__ = ["SoftArgmin", "TopKSoftArgmin", "soft_argmin", "top_k_mass", "top_k_soft_argmin"]
@@ -87,7 +88,7 @@ def top_k_mass(logits: Tensor, k: int) -> Tensor:
     """
     _check_logits(logits)
     _check_k(k, logits.shape[1])
-    logits = _at_least_float32(logits)
+    logits = at_least_float32(logits)
     kept = logits.topk(k, dim=1).values
     return (kept.logsumexp(1) - logits.logsumexp(1)).exp().clamp(max=1)
 
@@ -160,13 +161,8 @@ class TopKSoftArgmin(nn.Module):
         return f"k={self.k}, test_k={self.test_k}"
 
 
-def _at_least_float32(x: Tensor) -> Tensor:
-    # bfloat16 has steps of half a pixel at 100: distributions and disparities are never in half precision
-    return x.float() if x.dtype.itemsize == 2 else x
-
-
 def _softmax(logits: Tensor) -> Tensor:
-    return _at_least_float32(logits).softmax(1)
+    return at_least_float32(logits).softmax(1)
 
 
 def _candidates(logits: Tensor, candidates: Tensor | None) -> Tensor:

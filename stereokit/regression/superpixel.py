@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from stereokit.contracts import Guides
 from stereokit.errors import ConfigError, InputError
-from stereokit.layers import ConvNormAct, crop_to, init_convolutions, relu
+from stereokit.layers import ConvNormAct, at_least_float32, crop_to, init_convolutions, relu
 from stereokit.registry import UPSAMPLERS
 
 __all__ = ["SuperpixelUpsampler", "superpixel_upsample"]
@@ -126,8 +126,7 @@ class SuperpixelUpsampler(nn.Module):
             if stride in self.guide_channels:
                 x = torch.cat((crop_to(x, guides[stride]), guides[stride]), dim=1)
             x = merge(x)
-        logits = self.head(x)
-        return logits.float().softmax(1) if logits.dtype.itemsize == 2 else logits.softmax(1)
+        return at_least_float32(self.head(x)).softmax(1)
 
     def forward(self, x: Tensor, guides: Guides) -> Tensor:
         """(B, h, w) to (B, H, W)."""

@@ -5,7 +5,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.errors import ConfigError
-from stereokit.layers import init_convolutions, leaky_relu
+from stereokit.layers import at_least_float32, init_convolutions, leaky_relu
 from stereokit.registry import GUIDANCE
 
 __all__ = ["NeighborhoodAggregation", "neighborhood_sum"]
@@ -94,7 +94,8 @@ class NeighborhoodAggregation(nn.Module):
         self.take_in = nn.Conv3d(volume_channels, volume_channels, 1)
         self.activation = leaky_relu()
         init_convolutions(self)
-        steps = torch.arange(window) - window // 2
+        # p_i - p_j in units of half the window, for the neighbours j in row-major order
+        steps = window // 2 - torch.arange(window)
         offsets = torch.cartesian_prod(steps, steps).reshape(-1, 2) / max(1, window // 2)
         self.register_buffer("offsets", offsets.float(), persistent=False)
 
@@ -111,7 +112,7 @@ class NeighborhoodAggregation(nn.Module):
             y, x = divmod(j, self.window)
             view = (..., slice(y, y + height), slice(x, x + width))
             edge = self.edge(centre + neighbors[view] + position[:, None, None])
-            logits.append(edge.float().masked_fill(inside[view] == 0, -torch.inf))
+            logits.append(at_least_float32(edge).masked_fill(inside[view] == 0, -torch.inf))
         return torch.stack(logits, dim=1).softmax(dim=1).to(guide.dtype)
 
     def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
