@@ -14,11 +14,13 @@ import numpy.typing as npt
 
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_png import (
+    KITTI_SCALE,
     is_grey,
     read_drivingstereo_full_png,
     read_kitti_png,
     read_scaled_png,
     read_sintel_png,
+    unscaled,
     write_kitti_png,
 )
 from stereokit.data.images import read_file_bytes, read_samples
@@ -95,7 +97,7 @@ def read_disparity(path: PathLike, *, scale: float | None = None, encoding: str 
         return read_scaled_png(path, scale=scale)
     samples = read_samples(path)
     if samples.dtype == np.uint16 and samples.ndim == 2:
-        return read_kitti_png(path)
+        return unscaled(samples, KITTI_SCALE)
     if is_grey(samples):
         raise InputError(
             f"{name!r} is a grey image of {samples.dtype}, which does not say how disparity was scaled; give "

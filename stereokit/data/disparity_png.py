@@ -13,15 +13,17 @@ from stereokit.data.images import read_samples, write_samples
 from stereokit.errors import InputError
 
 __all__ = [
+    "KITTI_SCALE",
     "is_grey",
     "read_drivingstereo_full_png",
     "read_kitti_png",
     "read_scaled_png",
     "read_sintel_png",
+    "unscaled",
     "write_kitti_png",
 ]
 
-_KITTI_SCALE = 256
+KITTI_SCALE = 256
 _DRIVINGSTEREO_FULL_SCALE = 128
 
 
@@ -36,7 +38,7 @@ def read_kitti_png(path: PathLike) -> Disparity:
 
     Source: the readme of KITTI's stereo development kit, 2012 and 2015.
     """
-    return _read_deep(path, _KITTI_SCALE)
+    return _read_deep(path, KITTI_SCALE)
 
 
 def write_kitti_png(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = False) -> None:
@@ -60,7 +62,7 @@ def write_kitti_png(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool
         raise InputError(f"{name!r}: KITTI's encoding is written to a file that ends in .png")
     values = to_disparity(path, disparity)
     known = ~np.isnan(values)
-    steps = np.rint(values[known].astype(np.float64) * _KITTI_SCALE)
+    steps = np.rint(values[known].astype(np.float64) * KITTI_SCALE)
     if steps.size and (values[known].min() < 0 or steps.max() > 65535):
         raise InputError(
             f"{name!r}: KITTI's PNG holds disparity from 0 to 255.996, "
@@ -91,7 +93,7 @@ def read_scaled_png(path: PathLike, *, scale: float) -> Disparity:
     samples = read_samples(path)
     if not is_grey(samples):
         raise InputError(f"{os.fspath(path)!r} is a colour image; expected grey, of disparity * {scale:g}")
-    return _unscale(samples if samples.ndim == 2 else samples[:, :, 0], scale)
+    return unscaled(samples if samples.ndim == 2 else samples[:, :, 0], scale)
 
 
 def read_sintel_png(path: PathLike) -> Disparity:
@@ -142,10 +144,11 @@ def _read_deep(path: PathLike, scale: int) -> Disparity:
             f"{os.fspath(path)!r} has {samples.dtype} samples in {channels} channels; "
             "expected a 16-bit grey PNG"
         )
-    return _unscale(samples, scale)
+    return unscaled(samples, scale)
 
 
-def _unscale(samples: npt.NDArray[Any], scale: float) -> Disparity:
+def unscaled(samples: npt.NDArray[Any], scale: float) -> Disparity:
+    """Disparity from stored whole numbers: value / `scale`, NaN for 0."""
     values: Disparity = (samples / np.float64(scale)).astype(np.float32)
     values[samples == 0] = np.nan
     return values

@@ -174,7 +174,8 @@ def _decode(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], ImageHeader
         )
     if decoded.ndim == 2:
         return decoded, header
-    return decoded[:, :, [2, 1, 0, 3][: decoded.shape[2]]], header
+    to_rgb = cv2.COLOR_BGR2RGB if decoded.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
+    return cv2.cvtColor(decoded, to_rgb), header
 
 
 def _read_header(path: str | os.PathLike[str], data: bytes) -> ImageHeader:

@@ -98,8 +98,9 @@ def test_pnm_names_its_white(tmp_path, peak, expected):
     assert read_samples(tmp_path / "a.pgm").tolist() == [[0, 1, 15]]
 
 
-def tiff(side, tile):
-    entries = [(256, 4, 1, side), (257, 4, 1, side), (322, 4, 1, tile), (323, 4, 1, tile)]
+def tiff(width, height, tile_width, tile_height):
+    sides = {256: width, 257: height, 322: tile_width, 323: tile_height}
+    entries = [(tag, 4, 1, side) for tag, side in sides.items()]
     return (
         b"II*\0\x08\0\0\0"
         + struct.pack("<H", 4)
@@ -119,8 +120,9 @@ HUGE = {
     "jpeg": b"\xff\xd8\xff\xc0" + struct.pack(">HBHHB", 8, 8, 65535, 65535, 0) + b"\xff\xda\0\2\0\xff\xd9",
     "bmp": with_size(encode(".bmp", COLOUR), 18, "<ii", 10**9, -(10**9)),
     "webp": b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0\xff\xff\xff\xff\xff\xff",
-    "tiff": tiff(10**9, 8),
-    "tiff of huge tiles": tiff(8, 10**9),
+    "tiff": tiff(10**9, 8, 8, 8),
+    "tiff of wide tiles": tiff(8, 8, 10**9, 8),
+    "tiff of high tiles": tiff(8, 8, 8, 10**9),
 }
 
 
@@ -155,6 +157,15 @@ def test_truncated(tmp_path, suffix, part):
     (tmp_path / f"cut{suffix}").write_bytes(whole[: int(len(whole) * part)])
     with pytest.raises(InputError, match=rf"cut\{suffix}"):
         read_image(tmp_path / f"cut{suffix}")
+
+
+@pytest.mark.parametrize(("suffix", "message"), [(".png", "ends early"), (".jpg", "ends")])
+def test_the_end_is_looked_for_before_decoding(suffix, message):
+    whole = encode(suffix, COLOUR)
+    assert read_image_header(whole + b"something after it") == read_image_header(whole)
+    for missing in (1, 2, 13, len(whole) // 2):
+        with pytest.raises(ValueError, match=message):
+            read_image_header(whole[:-missing])
 
 
 def test_a_flipped_bit_in_a_png(tmp_path):

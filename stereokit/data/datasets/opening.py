@@ -54,8 +54,9 @@ def open_dataset(
     dataset: StereoDataset = DATASETS.build(kind, {"root": root, **options})
     missing = [] if allow_missing else dataset.missing_files()
     if missing:
+        base = dataset.root if dataset.root.is_dir() else dataset.root.parent
         raise InputError(
             f"{kind} in {root!r} is not whole: {len(missing)} of its files are missing, "
-            f"the first is {os.path.relpath(missing[0], root)!r}"
+            f"the first is {os.path.relpath(missing[0], base)!r}"
         )
     return dataset

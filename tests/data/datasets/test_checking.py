@@ -61,6 +61,20 @@ def test_truth_that_is_all_unknown(tmp_path):
     assert "known disparity   0.0%" in format_report(report)
 
 
+def test_the_sparsest_and_the_range(tmp_path):
+    trees.kitti2012(tmp_path, range(3))
+    for number, value in ((0, 0.5), (1, 7.0)):
+        path = tmp_path / "training" / "disp_occ" / f"00000{number}_10.png"
+        path.unlink()
+        values = np.full(trees.SHAPE, np.nan)
+        values[: 3 - 2 * number] = value
+        trees.save(path, trees.stored(256, disparity=values))
+    report = check_dataset(open_dataset(f"kitti2012:{tmp_path}"))
+    assert report.sparsest == ("000001_10", 1 / 6)
+    assert (report.lowest, report.highest) == (0.5, 7)
+    assert report.density == (27 + 9 + 36) / 162
+
+
 def test_progress_sees_every_pair(tmp_path):
     trees.kitti2012(tmp_path, range(3))
     seen = []

@@ -67,6 +67,7 @@ LIST = """
 my\\ pictures/l.png "my pictures/r.png"   # without truth
 
 other/l.png other/r.png truth.pfm calibration=calib.txt
+other/l.png other/r.png sintel.png encoding=sintel name=encoded
 """
 
 
@@ -75,17 +76,19 @@ def test_list_file(tmp_path):
         trees.save_pair(tmp_path / place / "l.png", tmp_path / place / "r.png", seed)
     trees.save(tmp_path / "truth.png", trees.stored(8, np.uint8))
     trees.save(tmp_path / "truth.pfm", trees.DISPARITY)
+    trees.save(tmp_path / "sintel.png", np.full((*trees.SHAPE, 3), [1, 64, 0], np.uint8))
     trees.save(tmp_path / "mask.png", np.where(trees.KNOWN, 255, 0).astype(np.uint8))
     trees.save(tmp_path / "calib.txt", trees.CALIB_TXT)
     trees.save(tmp_path / "pairs.txt", LIST)
     dataset = folder(tmp_path / "pairs.txt")
-    assert [entry.name for entry in dataset.entries] == ["first", "my pictures/l", "other/l"]
+    assert [entry.name for entry in dataset.entries] == ["first", "my pictures/l", "other/l", "encoded"]
     trees.assert_truth(dataset[0])
     np.testing.assert_array_equal(dataset[0].nonocc, trees.KNOWN)
     assert dataset[1].disparity is None
     trees.assert_pair(dataset[2], 1)
     trees.assert_truth(dataset[2])
     assert dataset[2].calibration is not None
+    assert (dataset[3].disparity == 5).all()
 
 
 @pytest.mark.parametrize(

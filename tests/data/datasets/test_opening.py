@@ -58,3 +58,9 @@ def test_files_that_are_missing(tmp_path, part):
     ):
         open_dataset(f"kitti2012:{tmp_path}")
     assert len(open_dataset(f"kitti2012:{tmp_path}", allow_missing=True)) == 2
+
+
+def test_files_that_a_list_names_and_are_missing(tmp_path):
+    trees.save(tmp_path / "pairs.txt", "views/l.png views/r.png")
+    with pytest.raises(InputError, match=r"2 of its files are missing, the first is .views/l\.png"):
+        open_dataset(f"folder:{tmp_path}/pairs.txt")
