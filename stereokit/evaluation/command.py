@@ -17,7 +17,7 @@ from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.evaluate import Observer, evaluate
 from stereokit.evaluation.matcher import Matcher, NetworkMatcher
 from stereokit.evaluation.report import Report
-from stereokit.evaluation.results import result_paths
+from stereokit.evaluation.results import make_folder, result_paths
 from stereokit.evaluation.sgbm import SGBM_VARIANTS, SemiGlobalMatcher
 from stereokit.evaluation.submission import KittiSubmission
 from stereokit.evaluation.tables import format_dataset
@@ -77,11 +77,13 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         load_network: gives the network that the options `model`, `weights` and `channel_order` name.
 
     Raises:
-        StereoKitError: options or data that can't be used; then no file is written.
+        StereoKitError: options or data that can't be used; then no result is written.
     """
     check_free(result_paths(options.out), overwrite=options.overwrite)
-    datasets = [open_dataset(spec) for spec in options.data]
-    for spec, dataset in zip(options.data, datasets, strict=True):
+    if len(set(options.data)) < len(options.data):
+        raise InputError(f"--data names {', '.join(options.data)}; expected each once")
+    datasets = {spec: open_dataset(spec) for spec in options.data}
+    for spec, dataset in datasets.items():
         if options.submission is None and not any(entry.disparity for entry in dataset.entries):
             raise InputError(f"{spec!r} has no ground truth, split {dataset.split!r}: there is nothing to count")
     observers: list[Observer] = []
@@ -92,10 +94,16 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
     if options.submission is not None:
         if len(datasets) > 1:
             raise InputError(f"--submission takes one data set, kitti2012 or kitti2015; got {len(datasets)}")
-        observers.append(KittiSubmission(options.submission, datasets[0], overwrite=options.overwrite))
+        [dataset] = datasets.values()
+        observers.append(KittiSubmission(options.submission, dataset, overwrite=options.overwrite))
+    matcher = _matcher(options, load_network)
+    for folder in (options.out, options.report, options.submission):
+        # now rather than after hours of matching
+        if folder is not None:
+            make_folder(folder)
     evaluation = evaluate(
-        _matcher(options, load_network),
-        options.data,
+        matcher,
+        datasets,
         limit=options.limit,
         max_disparity=options.max_disparity,
         batch=options.batch,

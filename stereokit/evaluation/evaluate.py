@@ -2,7 +2,7 @@
 
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from typing import Any, TypeAlias
 
@@ -28,7 +28,7 @@ Progress: TypeAlias = Callable[[Sequence[StereoEntry], str], Iterable[StereoEntr
 
 def evaluate(
     matcher: Matcher,
-    datasets: Sequence[str | StereoDataset],
+    datasets: Sequence[str] | Mapping[str, StereoDataset],
     *,
     limit: int | None = None,
     max_disparity: float | None = None,
@@ -46,7 +46,7 @@ def evaluate(
 
     Args:
         matcher: any callable (left, right) -> disparity, see `Matcher`; `NetworkMatcher` for a network.
-        datasets: opened ones, or "KIND:ROOT" as `open_dataset` takes it.
+        datasets: "KIND:ROOT" each, as `open_dataset` takes it; or opened ones by any name.
         limit: only the first so many pairs of each data set.
         max_disparity: ceiling of the ground truth, exclusive, in pixels. None counts every known pixel.
         taus: thresholds of bad-tau, in pixels.
@@ -82,11 +82,13 @@ def evaluate(
             raise ConfigError(f"{name} is {number}; expected at least {least}")
     if batch > 1 and not isinstance(matcher, BatchMatcher):
         raise ConfigError(f"batch is {batch}, but this matcher takes one pair at a time; leave it at 1")
-    opened = [(d, open_dataset(d)) if isinstance(d, str) else (f"{d.kind}/{d.split}:{d.root}", d) for d in datasets]
+    if len(set(datasets)) < len(datasets):
+        raise InputError(f"the data sets are {', '.join(datasets)}; expected each once")
+    opened = datasets if isinstance(datasets, Mapping) else {spec: open_dataset(spec) for spec in datasets}
     rules = StereoMetrics(taus=taus, max_disparity=max_disparity)
     started = datetime.now(timezone.utc).isoformat(timespec="seconds")
     results = []
-    for name, dataset in opened:
+    for name, dataset in opened.items():
         chosen = dataset[:limit]
         pairs: dict[str, PairResult] = {}
         total = StereoMetrics(taus=rules.taus, max_disparity=rules.max_disparity)

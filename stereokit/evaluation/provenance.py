@@ -63,7 +63,7 @@ def machine() -> dict[str, Any]:
     }
     if torch.cuda.is_available():
         parts["accelerators"] = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
-        parts["cuda"], parts["cudnn"] = torch.version.cuda, torch.backends.cudnn.version()
+        parts["cuda"], parts["cudnn"] = torch.version.cuda, torch.backends.cudnn.version()  # type: ignore[no-untyped-call]
     elif torch.accelerator.is_available():
         parts["accelerators"] = [str(torch.accelerator.current_accelerator())]
     return parts
@@ -74,7 +74,7 @@ def versions() -> dict[str, str]:
     found = {"python": platform.python_version(), "stereokit": __version__}
     for package in PACKAGES:
         try:
-            found[package] = metadata.distribution(package).version
+            found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             continue
     return found

@@ -15,7 +15,7 @@ from stereokit.data.datasets.dataset import StereoSample
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.errors import ConfigError
 from stereokit.evaluation.report_page import Card, Figure, page
-from stereokit.evaluation.results import Evaluation, PairResult
+from stereokit.evaluation.results import Evaluation, PairResult, make_folder
 from stereokit.inference import check_free
 from stereokit.viz import colorize, error_picture, robust_range
 
@@ -85,7 +85,7 @@ class Report:
         """
         cards = {name: [Card(one.result, one.figures) for one in shown] for name, shown in self._shown.items()}
         rows = {result.name: sorted(result.pairs, key=worst_first) for result in evaluation.datasets}
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(self.path.parent)
         with atomic_path(self.path, overwrite=self.overwrite) as temporary:
             temporary.write_text(page(evaluation, rows, cards), encoding="utf-8")
         return self.path

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from string import Template
 from typing import Any
 
@@ -78,7 +79,7 @@ _CARD = Template("""<article id="$anchor">
 
 _FIGURE = Template("""<figure>
 <figcaption>$title <small>$note</small></figcaption>
-<img src="$source" alt="$title of $name" decoding="async">
+<img src="$source" alt="$title of $name">
 </figure>
 """)
 
@@ -110,7 +111,7 @@ article { border-top: 1px solid var(--line); margin-top: 22px; padding-top: 18px
 .rank { color: var(--quiet); font-weight: 400; }
 .chips { display: flex; flex-wrap: wrap; gap: 6px; font-weight: 400; font-size: 13px; }
 .chips span { background: var(--paper); border: 1px solid var(--line); border-radius: 99px; padding: 0 9px; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 400px), 1fr)); gap: 14px; }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 480px), 1fr)); gap: 14px; }
 figure { margin: 0; }
 figcaption { font-size: 13px; margin-bottom: 3px; }
 figcaption small { color: var(--quiet); font-size: inherit; }
@@ -138,7 +139,9 @@ def page(evaluation: Evaluation, rows: Mapping[str, Sequence[PairResult]], cards
     machine = evaluation.machine
     device = str(model.get("device", ""))
     processor = ", ".join(machine["accelerators"]) if device.startswith("cuda") else machine["processor"]
+    weights = [f"weights {Path(model['weights']).name}"] if "weights" in model else []
     facts = [
+        *weights,
         _count(sum(len(result.pairs) for result in evaluation.datasets)),
         f"{device}: {processor}" if device else processor,
         evaluation.started,

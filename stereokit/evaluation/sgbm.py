@@ -24,9 +24,9 @@ class SemiGlobalMatcher:
 
     Along straight paths it minimises the sum of a Birchfield-Tomasi block cost and a price for each step of disparity
     between neighbours: P1 = 8 C b² for a step of 1 px and P2 = 32 C b² for a larger one, with C = 3 channels and blocks
-    of b x b pixels, as OpenCV's documentation suggests. An estimate is kept if its cost is 10 % below the next best, if it agrees with
-    the right view's to 1 px, and if it lies in a region of at least 100 pixels that vary by at most 2 px between
-    neighbours; gradients are clipped at 63. OpenCV takes 8-bit images: those of 16 bits are rounded.
+    of b x b pixels, as OpenCV's documentation suggests. An estimate is kept if its cost is 10 % below the next best, if
+    it agrees with the right view's to 1 px, and if it lies in a region of at least 100 pixels that vary by at most 2 px
+    between neighbours; gradients are clipped at 63. OpenCV takes 8-bit images: those of 16 bits are rounded.
 
     OpenCV leaves out the left `search_range` columns; here the images are padded on the left before and cut after, so
     that every disparity is looked for in every column.

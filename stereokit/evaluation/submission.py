@@ -8,7 +8,7 @@ from stereokit.data.datasets.dataset import StereoDataset, StereoSample
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.disparity_png import write_kitti_png
 from stereokit.errors import InputError
-from stereokit.evaluation.results import PairResult
+from stereokit.evaluation.results import PairResult, make_folder
 from stereokit.inference import check_free
 
 __all__ = ["KittiSubmission"]
@@ -51,5 +51,5 @@ class KittiSubmission:
         Raises:
             InputError: a disparity that KITTI's encoding can't hold, below 0 or above 255.996.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
         write_kitti_png(self.paths([sample.name])[0], prediction, overwrite=self.overwrite)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stereokit.evaluation.results import DatasetResult, Metrics, PairResult
+from stereokit.evaluation.results import DatasetResult, PairResult
 from stereokit.metrics import KITTI_METRICS
 
 __all__ = ["Table", "benchmark_line", "dataset_table", "format_dataset", "notes", "pair_table", "share"]
@@ -49,27 +49,20 @@ def dataset_table(result: DatasetResult, taus: Sequence[float]) -> Table:
 
 
 def pair_table(pairs: Sequence[PairResult], taus: Sequence[float]) -> Table:
-    """A row per pair, in the given order."""
-    regions = [s for s in REGION_NAMES if any(f"pixels{s}" in (pair.metrics or {}) for pair in pairs)] or [""]
-    main = [f"{measure}{suffix}" for suffix in regions if suffix in ("", "_noc") for measure in _measures(taus)]
-    headings = [
-        heading + (" noc" if suffix else "")
-        for suffix in regions
-        if suffix in ("", "_noc")
-        for heading in _headings(taus)
-    ]
+    """A row per pair, in the given order, over all counted pixels."""
+    measures = _measures(taus)
     rows = tuple(
         (
             pair.name,
             f"{pair.width} x {pair.height}",
-            *(_number(pair.metrics.get(name)) if pair.metrics else "" for name in main),
+            *(_number(pair.metrics[name]) if pair.metrics else "" for name in measures),
             f"{pair.metrics['pixels']:,}" if pair.metrics else "no ground truth",
             f"{pair.invalid_pixels:,}",
             f"{pair.seconds:.3f}",
         )
         for pair in pairs
     )
-    return Table(("pair", "size", *headings, "counted pixels", "not finite", "seconds"), rows)
+    return Table(("pair", "size", *_headings(taus), "counted pixels", "not finite", "seconds"), rows)
 
 
 def notes(result: DatasetResult) -> list[str]:
@@ -126,5 +119,5 @@ def _headings(taus: Sequence[float]) -> list[str]:
     return ["EPE [px]", *(f"bad-{tau:g} [%]" for tau in taus), "D1 [%]"]
 
 
-def _number(value: Metrics | float | int | None) -> str:
+def _number(value: float | None) -> str:
     return NOTHING if value is None else f"{value:.2f}"
