@@ -47,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     groupwise_correlation
     0
     """
-    options = _parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    options = _parser().parse_args(given, argparse.Namespace(arguments=given))
     try:
         options.run(options)
     except StereoKitError as error:

@@ -47,7 +47,7 @@ def test_a_network_on_several_data_sets(capsys: pytest.CaptureFixture[str], here
     assert record["model"]["weights"] == weights
     assert len(record["model"]["weights_file_sha256"]) == 64
     assert record["settings"]["batch"] == 2
-    assert record["command"].startswith("stereokit")
+    assert record["command"].startswith(f"stereokit eval --model coex --weights {weights} --device cpu --batch 2")
     with (here / "evaluation/pairs.csv").open(newline="") as file:
         assert [row["pair"] for row in csv.DictReader(file)] == ["a", "b", "000000_10", "000001_10"]
     with (here / "evaluation/datasets.csv").open(newline="") as file:

@@ -73,7 +73,7 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
     """Evaluates as the options say, prints a table per data set and writes the files.
 
     Args:
-        options: of `add_arguments`.
+        options: of `add_arguments`, and `arguments`, the command line that they were parsed from, for the record.
         load_network: gives the network that the options `model`, `weights` and `channel_order` name.
 
     Raises:
@@ -109,7 +109,7 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         batch=options.batch,
         observers=observers,
         progress=_progress,
-        command=shlex.join(["stereokit", *sys.argv[1:]]),
+        command=shlex.join(["stereokit", *options.arguments]),
     )
     for result in evaluation.datasets:
         print(format_dataset(result, evaluation.settings["taus"]), end="\n\n")

@@ -46,11 +46,9 @@ def test_layouts(tmp_path, layout):
         trees.assert_pair(sample)
         trees.assert_truth(sample)
         assert sample.nonocc is None
-    assert [len(sceneflow(tmp_path, split="train", part=part)) for part in ("flyingthings3d", "monkaa", "driving")] == [
-        1,
-        1,
-        1,
-    ]
+    assert [
+        len(sceneflow(tmp_path, split="train", part=part)) for part in ("flyingthings3d", "monkaa", "driving")
+    ] == [1, 1, 1]
 
 
 def test_passes_are_kept_apart(tmp_path):
@@ -66,7 +64,9 @@ def test_the_subset_and_its_negative_disparity(tmp_path, sign):
     for number, part in enumerate(("train", "val")):
         views = [base / part / "image_clean" / view / "0000000.png" for view in ("left", "right")]
         trees.save_pair(*views, number)
-        trees.save(base / part / "disparity" / "left" / "0000000.pfm", (sign * trees.DISPARITY).astype(np.float32))
+        trees.save(
+            base / part / "disparity" / "left" / "0000000.pfm", (sign * trees.DISPARITY).astype(np.float32)
+        )
         occluded = np.where(np.arange(9) < 4, 255, 0).astype(np.uint8) * np.ones((6, 1), np.uint8)
         trees.save(base / part / "disparity_occlusions" / "left" / "0000000.png", occluded)
     for number, split in enumerate(("train", "test")):
