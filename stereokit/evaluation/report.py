@@ -70,6 +70,8 @@ class Report:
     def __call__(self, dataset: str, sample: StereoSample, prediction: Disparity, result: PairResult) -> None:
         """Draws one pair, if it is among the worst so far."""
         shown = self._shown.setdefault(dataset, [])
+        if len(shown) == self.most and (not shown or worst_first(result) >= worst_first(shown[-1].result)):
+            return
         shown.append(_Shown(result, _figures(sample, prediction)))
         shown.sort(key=lambda one: worst_first(one.result))
         del shown[self.most :]

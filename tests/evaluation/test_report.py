@@ -31,7 +31,7 @@ COUNT_PICTURES = """<script>addEventListener("load", () => {
 
 def written(tmp_path, matcher=None, **options):
     """A report over scenes of 9, 6, 12 px and of KITTI without ground truth, by a matcher that always says 7."""
-    for name, disparity in (("mild", 9), ("good <&>", 6), ("worst", 12)):
+    for name, disparity in (("mild", 9), ("good <b>&lt;", 6), ("worst", 12)):
         save_scene(tmp_path / "mine", name, disparity)
     save_kitti(tmp_path / "kitti", "2012", "testing", [3])
     report = Report(tmp_path / "report", **options)
@@ -66,7 +66,7 @@ def test_pairs_come_worst_first_with_their_pictures(tmp_path):
     html = written(tmp_path).read_text()
     page = Page(html)
     names = [re.search(r"\d+ (.*?) (?:D1|no ground truth)", text)[1].strip() for text in page.texts["h4"]]
-    assert names == ["worst", "mild", "good <&>", "000003_10"]
+    assert names == ["worst", "mild", "good <b>&lt;", "000003_10"]
     figures = [text.split()[0] for text in page.texts["figcaption"]]
     assert figures == ["Left", "Ground", "Prediction", "Error"] * 3 + ["Left", "Prediction"]
     rows = [cell for cell in page.texts["td"] if cell in names]
@@ -82,12 +82,14 @@ def test_the_page_holds_everything_it_shows(tmp_path):
     assert "http" not in re.sub(r'http-equiv|data:image/[^"]*', "", html)
 
 
-def test_only_the_worst_are_shown_and_all_have_a_row(tmp_path):
-    html = written(tmp_path, most=1).read_text()
-    assert html.count("<article") == 2
-    assert "Pictures of the worst 1 of 3." in html
+@pytest.mark.parametrize("most", [0, 1, 2])
+def test_only_the_worst_are_shown_and_all_have_a_row(tmp_path, most):
+    html = written(tmp_path, most=most).read_text()
+    headings = Page(html).texts.get("h4", [])
+    assert [text.split()[1] for text in headings] == ["worst", "mild"][:most] + ["000003_10"][:most]
+    assert f"Pictures of the worst {most} of 3." in html
     page = Page(html)
-    assert {"worst", "mild", "good <&>"} <= set(page.texts["td"])
+    assert {"worst", "mild", "good <b>&lt;"} <= set(page.texts["td"])
 
 
 def test_holes_and_empty_truth_are_said(tmp_path):

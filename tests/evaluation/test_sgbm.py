@@ -41,6 +41,12 @@ def test_the_whole_search_range_is_searched_and_no_more():
     assert not (np.abs(narrow - 30) < 2).any()
 
 
+def test_eight_paths_are_not_five():
+    left, right = np.random.default_rng(0).integers(0, 256, (2, 60, 200, 3), dtype=np.uint8)
+    eight, five = (SGBM_VARIANTS[name](left, right) for name in ("sgbm", "sgbm_5paths"))
+    assert (eight != five).mean() > 0.1
+
+
 def test_images_of_either_depth_give_the_same():
     eight, sixteen = (SGBM_VARIANTS["sgbm"](*shifted(5, dtype=dtype)) for dtype in (np.uint8, np.float32))
     np.testing.assert_array_equal(eight, sixteen)
