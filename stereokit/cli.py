@@ -11,8 +11,10 @@ from tqdm import tqdm
 
 from stereokit._version import __version__
 from stereokit.builder import build_model
+from stereokit.data.datasets import DATASETS, check_dataset, format_report, open_dataset
 from stereokit.data.pairs import match_pairs
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
+from stereokit.evaluation import command as evaluation_command
 from stereokit.inference import Predictor, check_free, output_paths
 from stereokit.model import StereoModel
 from stereokit.published import NETWORKS, ChannelOrder, convert_published
@@ -45,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     groupwise_correlation
     0
     """
-    options = _parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    options = _parser().parse_args(given, argparse.Namespace(arguments=given))
     try:
         options.run(options)
     except StereoKitError as error:
@@ -74,6 +77,18 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
     predict.add_argument("--overwrite", action="store_true", help="replace existing results")
     predict.set_defaults(run=_predict)
+
+    evaluation = commands.add_parser("eval", help="count errors on data sets with ground truth")
+    evaluation_command.add_arguments(evaluation)
+    _add_channel_order(evaluation)
+    evaluation.set_defaults(run=lambda options: evaluation_command.run(options, _load_network))
+
+    data = commands.add_parser("data", help="look at a data set on disk")
+    jobs = data.add_subparsers(dest="job", required=True, metavar="JOB")
+    check = jobs.add_parser("check", help="read everything once; report counts, sizes, disparity and broken files")
+    check.add_argument("kind", metavar="KIND", help=f"{', '.join(DATASETS.names())}; KIND/SPLIT names a part")
+    check.add_argument("root", metavar="ROOT", help="folder or list file of the data set")
+    check.set_defaults(run=_check_data)
 
     listing = commands.add_parser("list", help="list networks and components")
     listing.add_argument("slot", nargs="?", metavar="SLOT", help=f"one of {', '.join(REGISTRIES)} (default: all)")
@@ -129,6 +144,14 @@ def _predict(options: argparse.Namespace) -> None:
             tqdm.write(f"{pair.name}: no 16-bit PNG, which ends at 255.996 px")
     if failed:
         raise InputError(f"{len(failed)} of {len(pairs)} pairs could not be matched: {', '.join(failed)}")
+
+
+def _check_data(options: argparse.Namespace) -> None:
+    dataset = open_dataset(f"{options.kind}:{options.root}", allow_missing=True)
+    report = check_dataset(dataset, progress=lambda entries: tqdm(entries, total=len(dataset), unit="pair"))
+    print(format_report(report))
+    if report.broken:
+        raise InputError(f"{len(report.broken)} of {report.pairs} pairs are broken")
 
 
 def _load_network(options: argparse.Namespace) -> StereoModel:

@@ -1,0 +1,221 @@
+"""Matching data sets and counting errors."""
+
+import statistics
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from datetime import datetime, timezone
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+
+from stereokit.data.datasets.dataset import StereoDataset, StereoEntry, StereoSample
+from stereokit.data.datasets.opening import open_dataset
+from stereokit.data.disparity_arrays import Disparity
+from stereokit.errors import ConfigError, InputError
+from stereokit.evaluation.matcher import BatchMatcher, Matcher, describe_matcher
+from stereokit.evaluation.provenance import machine, versions
+from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
+from stereokit.metrics import StereoMetrics
+
+__all__ = ["Observer", "evaluate"]
+
+Observer: TypeAlias = Callable[[str, StereoSample, Disparity, PairResult], None]
+"""Is told of each pair: the data set's name, the sample, the prediction and the pair's result."""
+
+Progress: TypeAlias = Callable[[Sequence[StereoEntry], str], Iterable[StereoEntry]]
+
+
+def evaluate(
+    matcher: Matcher,
+    datasets: Sequence[str] | Mapping[str, StereoDataset],
+    *,
+    limit: int | None = None,
+    max_disparity: float | None = None,
+    taus: Sequence[float] = (1.0, 2.0, 3.0),
+    batch: int = 1,
+    warmup: int = 1,
+    observers: Sequence[Observer] = (),
+    progress: Progress = lambda entries, name: entries,
+    command: str | None = None,
+) -> Evaluation:
+    """Matches every pair of some data sets and counts its errors.
+
+    The time of a pair runs from images in memory to disparity in memory, after the device has finished what it was
+    doing. Reading files and counting errors are not in it.
+
+    Args:
+        matcher: any callable (left, right) -> disparity, see `Matcher`; `NetworkMatcher` for a network.
+        datasets: "KIND:ROOT" each, as `open_dataset` takes it; or opened ones by any name.
+        limit: only the first so many pairs of each data set.
+        max_disparity: ceiling of the ground truth, exclusive, in pixels. None counts every known pixel.
+        taus: thresholds of bad-tau, in pixels.
+        batch: how many pairs of equal size are matched at once. Above 1 it takes a `BatchMatcher`.
+        warmup: how often the first pair of each data set is matched before the clock starts.
+        observers: are told of each pair, in no fixed order where `batch` is above 1.
+        progress: what the pairs pass through on the way, with the data set's name.
+        command: the command line, for the record.
+
+    Returns:
+        The numbers, with all that is needed to repeat them. `docs/metrics.md` says how they are counted.
+
+    Raises:
+        InputError: a data set or a pair that can't be read, ground truth or a prediction of another size than the
+            images, or a prediction that is no disparity map. Nothing is left out in silence.
+        ConfigError: an option that can't be.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from stereokit.data import write_disparity, write_image
+    >>> root = Path(tempfile.mkdtemp())
+    >>> for view in ("left", "right"):
+    ...     write_image(root / f"{view}.png", np.zeros((4, 6, 3), np.uint8))
+    >>> write_disparity(root / "disparity.pfm", np.full((4, 6), 5.0))
+    >>> result = evaluate(lambda left, right: np.full(left.shape[:2], 7.0), [f"folder:{root}"])
+    >>> result.datasets[0].metrics["epe"], result.datasets[0].metrics["bad_1"]
+    (2.0, 100.0)
+    """
+    if not datasets:
+        raise InputError("no data set was given; expected at least one, such as kitti2012:ROOT")
+    for name, number, least in (("limit", limit, 1), ("batch", batch, 1), ("warmup", warmup, 0)):
+        if number is not None and number < least:
+            raise ConfigError(f"{name} is {number}; expected at least {least}")
+    if batch > 1 and not isinstance(matcher, BatchMatcher):
+        raise ConfigError(f"batch is {batch}, but this matcher takes one pair at a time; leave it at 1")
+    if len(set(datasets)) < len(datasets):
+        raise InputError(f"the data sets are {', '.join(datasets)}; expected each once")
+    opened = datasets if isinstance(datasets, Mapping) else {spec: open_dataset(spec) for spec in datasets}
+    rules = StereoMetrics(taus=taus, max_disparity=max_disparity)
+    started = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    results = []
+    for name, dataset in opened.items():
+        chosen = dataset[:limit]
+        pairs: dict[str, PairResult] = {}
+        total = StereoMetrics(taus=rules.taus, max_disparity=rules.max_disparity)
+        for samples in _batches(progress(chosen.entries, name), batch):
+            if not pairs:
+                for _ in range(warmup):
+                    _match(matcher, samples)
+            predictions, seconds = _match(matcher, samples)
+            for sample, prediction in zip(samples, predictions, strict=True):
+                row = StereoMetrics(taus=rules.taus, max_disparity=rules.max_disparity)
+                pair = _pair_result(sample, prediction, seconds / len(samples), row)
+                total.merge(row)
+                pairs[sample.name] = pair
+                for observer in observers:
+                    observer(name, sample, prediction, pair)
+        results.append(
+            DatasetResult(
+                name=name,
+                kind=dataset.kind,
+                root=str(dataset.root.absolute()),
+                split=dataset.split,
+                available=len(dataset),
+                metrics=total.compute(),
+                median_seconds=statistics.median(pair.seconds for pair in pairs.values()),
+                pairs=tuple(pairs[entry.name] for entry in chosen.entries),
+            )
+        )
+    return Evaluation(
+        model=describe_matcher(matcher),
+        settings={
+            "taus": list(rules.taus),
+            "max_disparity": rules.max_disparity,
+            "limit": limit,
+            "batch": batch,
+            "warmup": warmup,
+        },
+        masks=_mask_rules(rules.max_disparity),
+        machine=machine(),
+        versions=versions(),
+        started=started,
+        command=command,
+        datasets=tuple(results),
+    )
+
+
+def _batches(entries: Iterable[StereoEntry], batch: int) -> Iterator[list[StereoSample]]:
+    """Groups of up to `batch` samples of one size and type. Few are held at a time, however mixed the sizes are."""
+    waiting: dict[Any, list[StereoSample]] = {}
+    for entry in entries:
+        sample = entry.read()
+        key = (sample.left.shape, sample.left.dtype, sample.right.dtype)
+        # the group that got a sample last is at the end
+        group = waiting[key] = [*waiting.pop(key, []), sample]
+        if len(group) == batch:
+            yield waiting.pop(key)
+        elif sum(map(len, waiting.values())) > 2 * batch:
+            yield waiting.pop(next(iter(waiting)))
+    yield from waiting.values()
+
+
+def _match(matcher: Matcher, samples: Sequence[StereoSample]) -> tuple[list[Disparity], float]:
+    """The disparities of samples of one size, and the seconds for all of them."""
+    _synchronise()
+    start = time.perf_counter()
+    if len(samples) > 1:
+        assert isinstance(matcher, BatchMatcher)
+        given = list(matcher.match_batch([s.left for s in samples], [s.right for s in samples]))
+    else:
+        given = [matcher(samples[0].left, samples[0].right)]
+    # A tensor on a device counts when it has arrived in memory.
+    arrays = [_to_array(prediction) for prediction in given]
+    _synchronise()
+    seconds = time.perf_counter() - start
+    if len(arrays) != len(samples):
+        raise InputError(f"the matcher gave {len(arrays)} maps for {len(samples)} pairs; expected one for each")
+    return [_checked(array, sample) for array, sample in zip(arrays, samples, strict=True)], seconds
+
+
+def _synchronise() -> None:
+    if torch.accelerator.is_available():
+        torch.accelerator.synchronize()
+
+
+def _to_array(prediction: Any) -> Any:
+    if isinstance(prediction, torch.Tensor):
+        prediction = prediction.detach().cpu()
+        # numpy has no bfloat16
+        return (prediction.float() if prediction.is_floating_point() else prediction).numpy()
+    return np.asarray(prediction)
+
+
+def _checked(prediction: Any, sample: StereoSample) -> Disparity:
+    height, width = sample.left.shape[:2]
+    if prediction.dtype.kind not in "fiu":
+        raise InputError(f"pair {sample.name!r}: the matcher gave {prediction.dtype}; expected disparity in pixels")
+    if prediction.shape != (height, width):
+        raise InputError(
+            f"pair {sample.name!r}: the matcher gave a map of shape {prediction.shape}; "
+            f"expected that of the images, {(height, width)}"
+        )
+    disparity: Disparity = prediction.astype(np.float32)
+    return disparity
+
+
+def _pair_result(sample: StereoSample, prediction: Disparity, seconds: float, row: StereoMetrics) -> PairResult:
+    metrics = None
+    if sample.disparity is not None:
+        row.update(
+            torch.from_numpy(prediction)[None],
+            torch.from_numpy(sample.disparity)[None],
+            nonoccluded=None if sample.nonocc is None else torch.from_numpy(sample.nonocc)[None],
+            foreground=None if sample.objects is None else torch.from_numpy(sample.objects > 0)[None],
+        )
+        metrics = row.compute()
+    height, width = prediction.shape
+    invalid = int(np.count_nonzero(~np.isfinite(prediction)))
+    return PairResult(sample.name, width, height, seconds, invalid, metrics)
+
+
+def _mask_rules(max_disparity: float | None) -> dict[str, str]:
+    ceiling = "" if max_disparity is None else f" and below {max_disparity:g} px"
+    return {
+        "counted": f"pixels whose ground truth is finite and above 0{ceiling}; sparse truth is never interpolated",
+        "noc": "counted pixels where the data set's non-occlusion mask is set",
+        "occ": "counted pixels where it is not",
+        "fg": "counted pixels whose object map is above 0",
+        "bg": "counted pixels whose object map is 0",
+        "prediction not finite": "bad at every tau, a D1 outlier, not in EPE; counted as invalid_predictions",
+        "per_image": "mean over images of each image's mean; without this suffix over all pixels of all images pooled",
+    }

@@ -1,0 +1,113 @@
+"""What can be evaluated: any callable from two images to a disparity map."""
+
+import os
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+import numpy.typing as npt
+import torch
+
+from stereokit.data.disparity_arrays import Disparity
+from stereokit.errors import ConfigError, InputError
+from stereokit.evaluation.provenance import file_sha256, state_sha256
+from stereokit.inference import Predictor
+from stereokit.inputs import to_pair
+from stereokit.pretrained import WEIGHTS_NAME
+
+__all__ = ["BatchMatcher", "Image", "Matcher", "NetworkMatcher", "describe_matcher"]
+
+Image: TypeAlias = npt.NDArray[Any]
+"""(H, W, 3), RGB, uint8 or float32 in [0, 1]."""
+
+
+class Matcher(Protocol):
+    """Any callable from a rectified pair to the disparity of its left image."""
+
+    def __call__(self, left: Image, right: Image, /) -> Any:
+        """Left and right image to disparity: an array or a tensor (H, W), in pixels, not finite where unknown."""
+
+
+@runtime_checkable
+class BatchMatcher(Protocol):
+    """A matcher that can also take several pairs of one size and type at once."""
+
+    def match_batch(self, lefts: Sequence[Image], rights: Sequence[Image]) -> Sequence[Any]:
+        """The disparities of the pairs, in their order."""
+
+
+class NetworkMatcher:
+    """A network as a matcher, one pair or a batch at a time.
+
+    Args:
+        predictor: the network on its device.
+        weights: the checkpoint, or the folder of a saved network, that it was loaded from; it is named with its hash
+            in the record of an evaluation.
+
+    >>> import numpy as np
+    >>> from stereokit import build_model
+    >>> matcher = NetworkMatcher(Predictor(build_model("coex", max_disparity=64), device="cpu"))
+    >>> images = np.zeros((3, 40, 50, 3), np.uint8)
+    >>> [disparity.shape for disparity in matcher.match_batch(images, images)]
+    [(40, 50), (40, 50), (40, 50)]
+    """
+
+    def __init__(self, predictor: Predictor, *, weights: str | os.PathLike[str] | None = None) -> None:
+        self.predictor = predictor
+        self.weights = weights
+
+    def __call__(self, left: Image, right: Image) -> Disparity:
+        """Matches one pair."""
+        return self.match_batch([left], [right])[0]
+
+    @torch.inference_mode()
+    def match_batch(self, lefts: Sequence[Image], rights: Sequence[Image]) -> list[Disparity]:
+        """Matches pairs of one size and type in one pass through the network.
+
+        Raises:
+            InputError: images that can't be used, or too many of them for the device's memory.
+        """
+        pairs = [to_pair(left, right) for left, right in zip(lefts, rights, strict=True)]
+        device = self.predictor.device
+        left, right = (torch.cat(views).to(device) for views in zip(*pairs, strict=True))
+        try:
+            disparity = self.predictor.model(left, right).disparity
+        except torch.OutOfMemoryError as error:
+            height, width = left.shape[-2:]
+            raise InputError(
+                f"{len(pairs)} pairs of {width} x {height} pixels at once do not fit into the memory of {device}; "
+                "choose a smaller --batch, or --device cpu"
+            ) from error
+        return list(disparity.float().cpu().numpy())
+
+    def describe(self) -> dict[str, Any]:
+        """The network's configuration and weights, in plain JSON."""
+        model = self.predictor.model
+        parts: dict[str, Any] = {"matcher": "network", "device": str(self.predictor.device)}
+        try:
+            parts["configuration"] = model.config
+        except (AttributeError, ConfigError):
+            # composed by hand
+            parts["class"] = f"{type(model).__module__}.{type(model).__qualname__}"
+        parts["parameters"] = sum(p.numel() for p in model.parameters())
+        parts["weights_sha256"] = state_sha256(model.state_dict())
+        if self.weights is not None:
+            path = os.fspath(self.weights)
+            parts["weights"] = path
+            file = os.path.join(path, WEIGHTS_NAME) if os.path.isdir(path) else path
+            parts["weights_file_sha256"] = file_sha256(file)
+        return parts
+
+
+def describe_matcher(matcher: Matcher) -> dict[str, Any]:
+    """What a matcher is, in plain JSON: its own `describe()` where it has one, else its name.
+
+    >>> def my_matcher(left, right):
+    ...     return left[:, :, 0] * 0.0
+    >>> describe_matcher(my_matcher)["name"].endswith("my_matcher")
+    True
+    """
+    own = getattr(matcher, "describe", None)
+    if callable(own):
+        return dict(own())
+    named = matcher if hasattr(matcher, "__qualname__") else type(matcher)
+    return {"matcher": "callable", "name": f"{named.__module__}.{named.__qualname__}"}

@@ -1,0 +1,136 @@
+"""An evaluation as a page to look at: where a matcher fails, and how."""
+
+import base64
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereokit.data.atomic import atomic_path
+from stereokit.data.datasets.dataset import StereoSample
+from stereokit.data.disparity_arrays import Disparity
+from stereokit.errors import ConfigError
+from stereokit.evaluation.report_page import Card, Figure, page
+from stereokit.evaluation.results import Evaluation, PairResult, make_folder
+from stereokit.inference import check_free
+from stereokit.viz import colorize, error_picture, robust_range
+
+__all__ = ["Report", "worst_first"]
+
+MAX_WIDTH = 960
+JPEG_QUALITY = 88
+
+
+def worst_first(pair: PairResult) -> tuple[float, float]:
+    """A key that sorts pairs by D1, then by end-point error, the worst first; those without numbers come last."""
+    metrics = pair.metrics or {}
+    d1, epe = metrics.get("d1"), metrics.get("epe")
+    return (1.0 if d1 is None else -d1, 0.0 if epe is None else -epe)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    result: PairResult
+    figures: tuple[Figure, ...]
+
+
+class Report:
+    """Collects pictures as an observer of `evaluate`, and writes them with the numbers as one HTML file.
+
+    The page holds its pictures and its style and loads nothing: it opens from disk, and its content-security policy
+    forbids scripts and the network. Rows and pictures are sorted by D1, the worst first.
+
+    Args:
+        folder: of the page, `index.html`; is made if need be.
+        most: how many pairs of each data set are shown in pictures, the worst ones; all have a row.
+        overwrite: replace an existing page.
+
+    Raises:
+        InputError: there is a page already.
+
+    >>> import tempfile
+    >>> report = Report(tempfile.mkdtemp())
+    >>> report.path.name
+    'index.html'
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], *, most: int = 100, overwrite: bool = False) -> None:
+        if most < 0:
+            raise ConfigError(f"most is {most}; expected 0 or more pairs to show")
+        self.path = Path(folder) / "index.html"
+        self.most = most
+        self.overwrite = overwrite
+        self._shown: dict[str, list[_Shown]] = {}
+        check_free([self.path], overwrite=overwrite)
+
+    def __call__(self, dataset: str, sample: StereoSample, prediction: Disparity, result: PairResult) -> None:
+        """Draws one pair, if it is among the worst so far."""
+        shown = self._shown.setdefault(dataset, [])
+        if len(shown) == self.most and (not shown or worst_first(result) >= worst_first(shown[-1].result)):
+            return
+        shown.append(_Shown(result, _figures(sample, prediction)))
+        shown.sort(key=lambda one: worst_first(one.result))
+        del shown[self.most :]
+
+    def save(self, evaluation: Evaluation) -> Path:
+        """Writes the page.
+
+        Args:
+            evaluation: that this report has observed.
+
+        Returns:
+            Its path.
+        """
+        cards = {name: [Card(one.result, one.figures) for one in shown] for name, shown in self._shown.items()}
+        rows = {result.name: sorted(result.pairs, key=worst_first) for result in evaluation.datasets}
+        make_folder(self.path.parent)
+        with atomic_path(self.path, overwrite=self.overwrite) as temporary:
+            temporary.write_text(page(evaluation, rows, cards), encoding="utf-8")
+        return self.path
+
+
+def _figures(sample: StereoSample, prediction: Disparity) -> tuple[Figure, ...]:
+    """Left image, ground truth, prediction and error; truth and prediction share their colours' range."""
+    truth = sample.disparity
+    known = None if truth is None else np.where(truth > 0, truth, np.nan)
+    has_truth = known is not None and bool(np.isfinite(known).any())
+    value_range = robust_range(known if known is not None and has_truth else prediction)
+    scale = f"{value_range[0]:.0f} to {value_range[1]:.0f} px"
+    left = sample.left if sample.left.dtype == np.uint8 else np.rint(sample.left * 255).astype(np.uint8)
+    figures = [Figure("Left image", "", _photograph(left))]
+    if known is not None and has_truth:
+        figures.append(Figure("Ground truth", scale, _exact(colorize(known, value_range=value_range))))
+    figures.append(Figure("Prediction", scale, _photograph(colorize(prediction, value_range=value_range))))
+    if known is not None and has_truth:
+        # What is drawn smaller has to spread further to be seen.
+        dilate = max(1, round(prediction.shape[1] / MAX_WIDTH))
+        occluded = None if sample.nonocc is None else ~sample.nonocc
+        errors = error_picture(prediction, known, occluded=occluded, dilate=dilate)
+        note = "darker where occluded" if occluded is not None else ""
+        figures.append(Figure("Error", note, _exact(errors)))
+    return tuple(figures)
+
+
+def _photograph(rgb: npt.NDArray[np.uint8]) -> str:
+    return _data_uri(_shrunk(rgb, cv2.INTER_AREA), "jpeg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+
+
+def _exact(rgb: npt.NDArray[np.uint8]) -> str:
+    """Single pixels and colours that mean something stay as they are."""
+    return _data_uri(_shrunk(rgb, cv2.INTER_NEAREST), "png", [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def _shrunk(rgb: npt.NDArray[np.uint8], interpolation: int) -> npt.NDArray[Any]:
+    height, width = rgb.shape[:2]
+    if width <= MAX_WIDTH:
+        return rgb
+    return cv2.resize(rgb, (MAX_WIDTH, max(1, round(height * MAX_WIDTH / width))), interpolation=interpolation)
+
+
+def _data_uri(rgb: npt.NDArray[Any], kind: str, options: list[int]) -> str:
+    _, encoded = cv2.imencode(f".{kind}", np.ascontiguousarray(rgb[:, :, ::-1]), options)
+    return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}"

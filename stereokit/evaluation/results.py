@@ -1,0 +1,170 @@
+"""What an evaluation found, and its files."""
+
+import csv
+import io
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from stereokit.data.atomic import atomic_path
+from stereokit.errors import InputError
+from stereokit.inference import check_free
+
+__all__ = ["DatasetResult", "Evaluation", "Metrics", "PairResult", "make_folder", "result_paths"]
+
+Metrics: TypeAlias = dict[str, float | int | None]
+"""Results by the names of `StereoMetrics.compute`."""
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """One pair.
+
+    Attributes:
+        name: of the pair, unique in its data set.
+        width, height: of its images, in pixels.
+        seconds: from images in memory to disparity in memory; for a batch, its time divided by the number of its pairs.
+        invalid_pixels: how many pixels of the whole image have no finite prediction, with or without ground truth.
+        metrics: of this pair, by the names of `StereoMetrics.compute`. None without ground truth.
+    """
+
+    name: str
+    width: int
+    height: int
+    seconds: float
+    invalid_pixels: int
+    metrics: Metrics | None
+
+
+@dataclass(frozen=True)
+class DatasetResult:
+    """One data set.
+
+    Attributes:
+        name: the data set as it was asked for, such as "kitti2012:/data/kitti2012".
+        kind, root, split: of the data set; `root` is absolute.
+        available: how many pairs it has; `pairs` are the first ones of them.
+        metrics: over all pairs with ground truth.
+        median_seconds: the median time per pair.
+        pairs: in the order of the data set.
+    """
+
+    name: str
+    kind: str
+    root: str
+    split: str
+    available: int
+    metrics: Metrics
+    median_seconds: float
+    pairs: tuple[PairResult, ...]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The numbers, and all that is needed to repeat them.
+
+    Attributes:
+        model: what was evaluated, see `describe_matcher`.
+        settings: the thresholds, the ceiling, the limit, the batch size and the untimed runs.
+        masks: the rules by which pixels count, in words.
+        machine: see `stereokit.evaluation.provenance.machine`.
+        versions: of Python and the libraries.
+        started: time in UTC, ISO 8601.
+        command: the command line, if there was one.
+        datasets: the results.
+    """
+
+    model: dict[str, Any]
+    settings: dict[str, Any]
+    masks: dict[str, str]
+    machine: dict[str, Any]
+    versions: dict[str, str]
+    started: str
+    command: str | None
+    datasets: tuple[DatasetResult, ...]
+
+    def to_json(self) -> str:
+        """Everything, as strict JSON."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False) + "\n"
+
+    def record(self) -> dict[str, Any]:
+        """All but the numbers."""
+        parts = asdict(self)
+        parts["datasets"] = [
+            {"name": d.name, "kind": d.kind, "root": d.root, "split": d.split, "pairs": len(d.pairs)}
+            for d in self.datasets
+        ]
+        return parts
+
+    def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
+        """Writes the files of `result_paths`, each whole or not at all.
+
+        Args:
+            folder: is made if need be.
+            overwrite: replace existing files.
+
+        Raises:
+            InputError: a file exists already; then none is written.
+        """
+        paths = result_paths(folder)
+        check_free(paths, overwrite=overwrite)
+        make_folder(folder)
+        per_dataset = [
+            {"dataset": d.name, "pairs": len(d.pairs), "median_seconds": d.median_seconds, **d.metrics}
+            for d in self.datasets
+        ]
+        per_pair = [
+            {
+                "dataset": d.name,
+                "pair": p.name,
+                "width": p.width,
+                "height": p.height,
+                "seconds": p.seconds,
+                "invalid_pixels": p.invalid_pixels,
+                **_of_one_image(p.metrics or {}),
+            }
+            for d in self.datasets
+            for p in d.pairs
+        ]
+        for path, text in zip(paths, (self.to_json(), _csv(per_dataset), _csv(per_pair)), strict=True):
+            with atomic_path(path, overwrite=overwrite) as temporary:
+                temporary.write_text(text, encoding="utf-8", newline="")
+        return paths
+
+
+def result_paths(folder: str | os.PathLike[str]) -> list[Path]:
+    """The files of an evaluation: everything as JSON, and a row per data set and per pair as CSV.
+
+    >>> [path.name for path in result_paths("evaluation")]
+    ['evaluation.json', 'datasets.csv', 'pairs.csv']
+    """
+    return [Path(folder) / name for name in ("evaluation.json", "datasets.csv", "pairs.csv")]
+
+
+def make_folder(folder: str | os.PathLike[str]) -> None:
+    """Makes a folder and those above it, if need be.
+
+    Raises:
+        InputError: it can't be made.
+    """
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"the folder {os.fspath(folder)!r} can't be made: {error.strerror or error}") from error
+
+
+def _of_one_image(metrics: Metrics) -> Metrics:
+    """The metrics that say something about a single image."""
+    return {k: v for k, v in metrics.items() if not k.endswith("_per_image") and not k.startswith("images")}
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    """A table with all columns that occur; what a row does not have is empty."""
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,123 @@
+"""The numbers of an evaluation as rows of text."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stereokit.evaluation.results import DatasetResult, PairResult
+from stereokit.metrics import KITTI_METRICS
+
+__all__ = ["Table", "benchmark_line", "dataset_table", "format_dataset", "notes", "pair_table", "share"]
+
+REGION_NAMES = {
+    "": "all",
+    "_noc": "non-occluded",
+    "_occ": "occluded",
+    "_bg": "background",
+    "_fg": "foreground",
+}
+NOTHING = "no pixels"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Column headings, and cells; the first column is text, the others are numbers."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __str__(self) -> str:
+        """The table in aligned columns."""
+        lines = (self.columns, *self.rows)
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.columns))]
+        return "\n".join(
+            "  ".join(cell.rjust(width) if i else cell.ljust(width) for i, (cell, width) in enumerate(cells))
+            for cells in (list(zip(line, widths, strict=True)) for line in lines)
+        )
+
+
+def dataset_table(result: DatasetResult, taus: Sequence[float]) -> Table:
+    """A row per region and mean."""
+    metrics = result.metrics
+    rows = []
+    for suffix, region in REGION_NAMES.items():
+        if f"pixels{suffix}" not in metrics:
+            continue
+        for mean, unit in (("", "pixels"), ("_per_image", "images")):
+            cells = [_number(metrics[f"{measure}{suffix}{mean}"]) for measure in _measures(taus)]
+            rows.append((f"{region}, per {unit[:-1]}", *cells, f"{metrics[f'{unit}{suffix}']:,} {unit}"))
+    return Table(("pixels, mean", *_headings(taus), "over"), tuple(rows))
+
+
+def pair_table(pairs: Sequence[PairResult], taus: Sequence[float]) -> Table:
+    """A row per pair, in the given order, over all counted pixels."""
+    measures = _measures(taus)
+    rows = tuple(
+        (
+            pair.name,
+            f"{pair.width} x {pair.height}",
+            *(_number(pair.metrics[name]) if pair.metrics else "" for name in measures),
+            f"{pair.metrics['pixels']:,}" if pair.metrics else "no ground truth",
+            f"{pair.invalid_pixels:,}",
+            f"{pair.seconds:.3f}",
+        )
+        for pair in pairs
+    )
+    return Table(("pair", "size", *_headings(taus), "counted pixels", "not finite", "seconds"), rows)
+
+
+def notes(result: DatasetResult) -> list[str]:
+    """What the table does not show: the benchmark's own numbers, and what was not predicted or not known."""
+    metrics = result.metrics
+    lines = [benchmark_line(result)] if benchmark_line(result) else []
+    invalid, pixels = metrics["invalid_predictions"] or 0, metrics["pixels"] or 0
+    everywhere = sum(pair.invalid_pixels for pair in result.pairs)
+    if everywhere:
+        lines.append(
+            f"{everywhere:,} predicted pixels are not finite; of the {pixels:,} counted ones {invalid:,}"
+            f"{f' ({share(invalid, pixels)})' if pixels else ''}: bad at every threshold, and not in EPE"
+        )
+    without = sum(pair.metrics is None for pair in result.pairs)
+    if without:
+        lines.append(f"{without} of {len(result.pairs)} pairs have no ground truth")
+    if metrics["images_without_pixels"]:
+        lines.append(f"{metrics['images_without_pixels']} pairs have ground truth without a pixel that counts")
+    if len(result.pairs) < result.available:
+        lines.append(f"only the first {len(result.pairs)} of {result.available} pairs")
+    return lines
+
+
+def benchmark_line(result: DatasetResult) -> str:
+    """The numbers by their names on KITTI's leaderboards, for its data sets; else nothing."""
+    names = {"kitti2012": ("Out-Noc", "Out-All", "Avg-Noc", "Avg-All"), "kitti2015": ("D1-bg", "D1-fg", "D1-all")}
+    found = [(name, result.metrics.get(KITTI_METRICS[name])) for name in names.get(result.kind, ())]
+    units = {True: " px", False: " %"}
+    return ", ".join(f"{name} {value:.2f}{units[name.startswith('Avg')]}" for name, value in found if value is not None)
+
+
+def format_dataset(result: DatasetResult, taus: Sequence[float]) -> str:
+    """A data set's heading, table and notes, as lines of text."""
+    count = f"{len(result.pairs)} pair{'s' if len(result.pairs) != 1 else ''}"
+    heading = f"{result.name}: split {result.split}, {count}, median {result.median_seconds:.3f} s per pair"
+    table = str(dataset_table(result, taus))
+    return "\n".join([heading, *(f"  {line}" for line in [*table.splitlines(), *notes(result)])])
+
+
+def share(part: int | float, whole: int | float) -> str:
+    """A part in percent.
+
+    >>> share(1, 8)
+    '12.5 %'
+    """
+    return f"{100 * part / whole:.1f} %"
+
+
+def _measures(taus: Sequence[float]) -> list[str]:
+    return ["epe", *(f"bad_{tau:g}" for tau in taus), "d1"]
+
+
+def _headings(taus: Sequence[float]) -> list[str]:
+    return ["EPE [px]", *(f"bad-{tau:g} [%]" for tau in taus), "D1 [%]"]
+
+
+def _number(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.2f}"

@@ -1,0 +1,74 @@
+import hashlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from stereokit import build_model
+from stereokit.errors import InputError
+from stereokit.evaluation import BatchMatcher, NetworkMatcher, SemiGlobalMatcher, describe_matcher
+from stereokit.inference import Predictor
+
+
+@pytest.fixture(scope="module")
+def predictor():
+    torch.manual_seed(0)
+    return Predictor(build_model("coex", max_disparity=64), device="cpu")
+
+
+def test_a_batch_gives_what_single_pairs_give_in_one_pass(predictor, monkeypatch):
+    rng = np.random.default_rng(0)
+    lefts, rights = rng.integers(0, 256, (2, 3, 40, 50, 3), dtype=np.uint8)
+    matcher = NetworkMatcher(predictor)
+    assert isinstance(matcher, BatchMatcher)
+    alone = [predictor(left, right).disparity for left, right in zip(lefts, rights, strict=True)]
+    shapes = []
+    forward = predictor.model.forward
+    monkeypatch.setattr(
+        predictor.model, "forward", lambda left, right: shapes.append(left.shape) or forward(left, right)
+    )
+    together = matcher.match_batch(lefts, rights)
+    assert shapes == [(3, 3, 40, 50)]
+    np.testing.assert_allclose(together, alone, atol=1e-2)
+    np.testing.assert_array_equal(matcher(lefts[0], rights[0]), alone[0])
+
+
+def test_a_network_is_described_by_its_configuration_and_weights(predictor, tmp_path):
+    predictor.model.save_pretrained(tmp_path)
+    parts = describe_matcher(NetworkMatcher(predictor, weights=tmp_path))
+    assert parts["configuration"] == predictor.model.config
+    assert parts["weights_file_sha256"] == hashlib.sha256((tmp_path / "model.safetensors").read_bytes()).hexdigest()
+    loaded = NetworkMatcher(Predictor(tmp_path, "cpu"))
+    assert loaded.describe()["weights_sha256"] == parts["weights_sha256"]
+    with torch.no_grad():
+        next(loaded.predictor.model.parameters()).view(-1)[0] += 1
+    assert loaded.describe()["weights_sha256"] != parts["weights_sha256"]
+
+
+class Plain(nn.Module):
+    def forward(self, left, right):
+        return SimpleNamespace(disparity=left.float().mean(1))
+
+
+def test_a_network_of_ones_own_is_described_by_its_class():
+    matcher = NetworkMatcher(Predictor(Plain(), "cpu"))
+    assert matcher(np.full((40, 50, 3), 7, np.uint8), np.zeros((40, 50, 3), np.uint8))[0, 0] == 7
+    assert matcher.describe()["class"].endswith("test_matcher.Plain")
+
+
+def test_too_large_a_batch_says_what_would_do():
+    class Greedy(nn.Module):
+        def forward(self, left, right):
+            raise torch.OutOfMemoryError("no memory")
+
+    images = np.zeros((2, 40, 50, 3), np.uint8)
+    with pytest.raises(InputError, match=r"2 pairs of 50 x 40 pixels .* smaller --batch"):
+        NetworkMatcher(Predictor(Greedy(), "cpu")).match_batch(images, images)
+
+
+def test_other_matchers_are_described_by_parameters_or_name():
+    assert describe_matcher(SemiGlobalMatcher(paths=5))["paths"] == 5
+    assert describe_matcher(np.subtract)["name"].endswith("subtract")
+    assert describe_matcher(Plain())["name"].endswith("Plain")
