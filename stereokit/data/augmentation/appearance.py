@@ -94,9 +94,7 @@ def colour_jitter(
         return {key: rng.uniform(1 - half, 1 + half) for key, half in ranges.items()}
 
     if apart:
-        return replace(
-            sample, left=adjust_colour(sample.left, **draw()), right=adjust_colour(sample.right, **draw())
-        )
+        return replace(sample, left=adjust_colour(sample.left, **draw()), right=adjust_colour(sample.right, **draw()))
     # As one image, so that contrast turns around one mean and equal colours stay equal.
     both = adjust_colour(np.concatenate((sample.left, sample.right)), **draw())
     left, right = np.split(both, 2)
@@ -107,8 +105,8 @@ def occlude_right_view(sample: StereoSample, *, top: int, left: int, height: int
     """A rectangle of the right view filled with the view's mean colour, as if something stood before that
     camera.
 
-    The ground truth stays; pixels whose match is hidden leave the mask of non-occluded ones. The part of the
-    rectangle that lies outside the image is ignored.
+    The ground truth stays; pixels whose match is hidden leave the mask of non-occluded ones. The right view's own
+    ground truth is unknown in the rectangle. The part of the rectangle that lies outside the image is ignored.
     """
     right = sample.right.copy()
     rows, columns = slice(max(top, 0), max(top + height, 0)), slice(max(left, 0), max(left + width, 0))
@@ -121,7 +119,14 @@ def occlude_right_view(sample: StereoSample, *, top: int, left: int, height: int
         # A match between two columns needs both of them.
         hidden[rows] = ((match > left - 1) & (match < left + width))[rows]
         nonocc = nonocc & ~hidden
-    return replace(sample, right=right, nonocc=nonocc)
+    right_disparity, right_nonocc = sample.right_disparity, sample.right_nonocc
+    if right_disparity is not None:
+        right_disparity = right_disparity.copy()
+        right_disparity[rows, columns] = np.nan
+    if right_nonocc is not None:
+        right_nonocc = right_nonocc.copy()
+        right_nonocc[rows, columns] = False
+    return replace(sample, right=right, nonocc=nonocc, right_disparity=right_disparity, right_nonocc=right_nonocc)
 
 
 def random_occlusion(

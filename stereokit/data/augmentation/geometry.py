@@ -7,7 +7,7 @@ was.
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import cv2
 import numpy as np
@@ -16,6 +16,8 @@ import numpy.typing as npt
 from stereokit.data.datasets.dataset import Mask, StereoSample
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.errors import InputError
+
+T = TypeVar("T", bound=np.generic)
 
 __all__ = [
     "crop",
@@ -31,7 +33,7 @@ __all__ = [
 def crop(sample: StereoSample, *, top: int, left: int, height: int, width: int) -> StereoSample:
     """The same window of both views.
 
-    Disparity does not change. Pixels whose match lies left of the window leave the mask of non-occluded ones.
+    Disparity does not change. Pixels whose match lies outside of the window leave the masks of non-occluded ones.
 
     Raises:
         InputError: the window does not lie within the images.
@@ -51,9 +53,13 @@ def crop(sample: StereoSample, *, top: int, left: int, height: int, width: int) 
         return np.ascontiguousarray(values[top : top + height, left : left + width])
 
     disparity = None if sample.disparity is None else window(sample.disparity)
+    right_disparity = None if sample.right_disparity is None else window(sample.right_disparity)
     nonocc = None if sample.nonocc is None else window(sample.nonocc)
+    right_nonocc = None if sample.right_nonocc is None else window(sample.right_nonocc)
     if nonocc is not None and disparity is not None:
         nonocc &= ~(np.arange(width) - disparity < 0)
+    if right_nonocc is not None and right_disparity is not None:
+        right_nonocc &= ~(np.arange(width) + right_disparity > width - 1)
     camera = sample.calibration
     return replace(
         sample,
@@ -64,6 +70,8 @@ def crop(sample: StereoSample, *, top: int, left: int, height: int, width: int) 
         objects=None if sample.objects is None else window(sample.objects),
         calibration=camera
         and replace(camera, cx0=camera.cx0 - left, cx1=camera.cx1 - left, width=width, height=height),
+        right_disparity=right_disparity,
+        right_nonocc=right_nonocc,
     )
 
 
@@ -110,20 +118,19 @@ def scale(sample: StereoSample, *, height: int, width: int) -> StereoSample:
 
     def resize(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
         shrinks = height < rows or width < columns
-        return cv2.resize(
-            image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        )
+        return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
 
-    disparity: Disparity | None = None
-    if sample.disparity is not None:
-        disparity = pick(sample.disparity) * np.float32(ratio)
-        disparity[~np.logical_and.outer(nearest_rows, nearest_columns)] = np.nan
+    def place(disparity: Disparity) -> Disparity:
+        placed: Disparity = pick(disparity) * np.float32(ratio)
+        placed[~np.logical_and.outer(nearest_rows, nearest_columns)] = np.nan
+        return placed
+
     camera = sample.calibration
     return replace(
         sample,
         left=resize(sample.left),
         right=resize(sample.right),
-        disparity=disparity,
+        disparity=None if sample.disparity is None else place(sample.disparity),
         nonocc=None if sample.nonocc is None else pick(sample.nonocc),
         objects=None if sample.objects is None else pick(sample.objects),
         calibration=camera
@@ -135,6 +142,8 @@ def scale(sample: StereoSample, *, height: int, width: int) -> StereoSample:
             width=width,
             height=height,
         ),
+        right_disparity=None if sample.right_disparity is None else place(sample.right_disparity),
+        right_nonocc=None if sample.right_nonocc is None else pick(sample.right_nonocc),
     )
 
 
@@ -165,19 +174,22 @@ def random_scale(
     rows, columns = sample.left.shape[:2]
     factor = math.exp(rng.uniform(math.log(lowest), math.log(highest)))
     factor = max(factor, min_height / rows, min_width / columns)
-    return scale(
-        sample, height=max(round(rows * factor), min_height), width=max(round(columns * factor), min_width)
-    )
+    return scale(sample, height=max(round(rows * factor), min_height), width=max(round(columns * factor), min_width))
 
 
 def flip_and_swap(sample: StereoSample) -> StereoSample:
     """The pair in a mirror: the mirrored right view becomes the left one, the mirrored left view the right
     one.
 
-    Its ground truth belongs to the old right view, and is the old ground truth carried there: the value d of
-    column x goes to the column nearest to x - d. Pixels that are hidden there are left out: those not in the
-    mask of non-occluded pixels where there is one, else those behind another known surface. What only the
-    right view saw is unknown, and without a mask so is what that hides.
+    With ground truth for the right view, the mirrored right map becomes the left one and the mirrored left map the
+    right one, masks alike: twice is the pair itself, but for objects.
+
+    Without it, the old ground truth is carried to the right view: the value d of column x goes to the column nearest
+    to x - d. Pixels that are hidden there are left out: those not in the mask of non-occluded pixels where there is
+    one, else those behind another known surface. What only the right view saw is unknown, and without a mask so is
+    what that hides. Objects, which belong to the left view, are always carried so.
+
+    Source: Bangunharcana et al., Correlate-and-Excite, IROS 2021 (the flip among its augmentations).
 
     >>> image = np.zeros((1, 4, 3), np.uint8)
     >>> pair = StereoSample("a", image, image, np.array([[np.nan, 1, 1, np.nan]], np.float32))
@@ -185,8 +197,8 @@ def flip_and_swap(sample: StereoSample) -> StereoSample:
     [[nan, nan, 1.0, 1.0]]
     """
     height, width = sample.left.shape[:2]
-    disparity = nonocc = objects = None
-    if sample.disparity is not None:
+    disparity = nonocc = objects = right_disparity = right_nonocc = None
+    if sample.disparity is not None and (sample.right_disparity is None or sample.objects is not None):
         rows, columns, places = _seen_from_right(sample.disparity, sample.nonocc)
         disparity = np.full((height, width), np.nan, np.float32)
         disparity[rows, width - 1 - places] = sample.disparity[rows, columns]
@@ -194,29 +206,45 @@ def flip_and_swap(sample: StereoSample) -> StereoSample:
         if sample.objects is not None:
             objects = np.zeros((height, width), np.uint8)
             objects[rows, width - 1 - places] = sample.objects[rows, columns]
+    if sample.right_disparity is not None:
+        disparity, right_disparity = _mirrored(sample.right_disparity), _mirrored(sample.disparity)
+        nonocc, right_nonocc = _mirrored(sample.right_nonocc), _mirrored(sample.nonocc)
     camera = sample.calibration
     return replace(
         sample,
-        left=np.ascontiguousarray(sample.right[:, ::-1]),
-        right=np.ascontiguousarray(sample.left[:, ::-1]),
+        left=_mirrored(sample.right),
+        right=_mirrored(sample.left),
         disparity=disparity,
         nonocc=nonocc,
         objects=objects,
         calibration=camera and replace(camera, cx0=width - 1 - camera.cx1, cx1=width - 1 - camera.cx0),
+        right_disparity=right_disparity,
+        right_nonocc=right_nonocc,
     )
 
 
 def shift_right_view(sample: StereoSample, *, down: float) -> StereoSample:
     """The right view moved down by some pixels, its border repeated: an error of rectification.
 
-    x_right = x_left - d still holds; the match is `down` rows lower.
+    x_right = x_left - d still holds; the match is `down` rows lower. The right view's ground truth moves along by
+    whole rows, and is unknown where the border was repeated.
     """
     height, width = sample.right.shape[:2]
     move = np.array([[1, 0, 0], [0, 1, down]], np.float64)
     shifted: npt.NDArray[Any] = cv2.warpAffine(
         sample.right, move, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    return replace(sample, right=shifted)
+    rows = np.floor(np.arange(height) - down + 0.5).astype(np.intp)
+    outside = (rows < 0) | (rows >= height)
+    rows = np.clip(rows, 0, height - 1)
+    right_disparity, right_nonocc = sample.right_disparity, sample.right_nonocc
+    if right_disparity is not None:
+        right_disparity = right_disparity[rows]
+        right_disparity[outside] = np.nan
+    if right_nonocc is not None:
+        right_nonocc = right_nonocc[rows]
+        right_nonocc[outside] = False
+    return replace(sample, right=shifted, right_disparity=right_disparity, right_nonocc=right_nonocc)
 
 
 def vertical_jitter(sample: StereoSample, rng: np.random.Generator, *, largest: float = 1.5) -> StereoSample:
@@ -225,6 +253,18 @@ def vertical_jitter(sample: StereoSample, rng: np.random.Generator, *, largest: 
     It teaches a network to bear the small errors of rectification that real cameras have.
     """
     return shift_right_view(sample, down=rng.uniform(-largest, largest))
+
+
+@overload
+def _mirrored(values: None) -> None: ...
+
+
+@overload
+def _mirrored(values: npt.NDArray[T]) -> npt.NDArray[T]: ...
+
+
+def _mirrored(values: npt.NDArray[T] | None) -> npt.NDArray[T] | None:
+    return None if values is None else np.ascontiguousarray(values[:, ::-1])
 
 
 def _nearest(size: int, new_size: int) -> tuple[npt.NDArray[np.intp], Mask]:

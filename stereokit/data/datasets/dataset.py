@@ -39,6 +39,10 @@ class StereoSample:
         objects: (H, W) uint8, 0 for the background and a number for each foreground object (KITTI 2015). None
             without such a map.
         calibration: of the pair, at this size. None where it is unknown.
+        right_disparity: the right view's own ground truth, (H, W) float32, NaN where unknown: the match of the right
+            pixel in column x lies in column x + d of the left view. None without it.
+        right_nonocc: (H, W) bool, True where the right pixel is seen by the left camera too. None where that is
+            unknown.
 
     Raises:
         InputError: the parts are not of one size.
@@ -51,6 +55,8 @@ class StereoSample:
     nonocc: Mask | None = None
     objects: npt.NDArray[np.uint8] | None = None
     calibration: Calibration | None = None
+    right_disparity: Disparity | None = None
+    right_nonocc: Mask | None = None
 
     def __post_init__(self) -> None:
         height, width = self.left.shape[:2]
@@ -59,6 +65,8 @@ class StereoSample:
             "ground truth": self.disparity,
             "non-occluded mask": self.nonocc,
             "object map": self.objects,
+            "right view's ground truth": self.right_disparity,
+            "right view's non-occluded mask": self.right_nonocc,
         }
         for part, values in parts.items():
             if values is not None and values.shape[:2] != (height, width):
@@ -87,6 +95,11 @@ class Source(Generic[T]):
         """
         return cls(folder / name, read) if folder.is_dir() else None
 
+    @classmethod
+    def optional(cls, path: Path, read: Callable[[Path], T]) -> "Source[T] | None":
+        """A file, or None where it is not there: data that the pair can do without."""
+        return cls(path, read) if path.is_file() else None
+
 
 @dataclass(frozen=True)
 class StereoEntry:
@@ -99,11 +112,20 @@ class StereoEntry:
     nonocc: Source[Mask] | None = None
     objects: Source[npt.NDArray[np.uint8]] | None = None
     calibration: Source[Calibration] | None = None
+    right_disparity: Source[Disparity] | None = None
+    right_nonocc: Source[Mask] | None = None
 
     @property
     def paths(self) -> tuple[Path, ...]:
         """All files that the entry names."""
-        sources = (self.disparity, self.nonocc, self.objects, self.calibration)
+        sources = (
+            self.disparity,
+            self.nonocc,
+            self.objects,
+            self.calibration,
+            self.right_disparity,
+            self.right_nonocc,
+        )
         return (self.left, self.right, *(source.path for source in sources if source is not None))
 
     def read(self) -> StereoSample:
@@ -120,6 +142,8 @@ class StereoEntry:
             nonocc=self.nonocc() if self.nonocc else None,
             objects=self.objects() if self.objects else None,
             calibration=self.calibration() if self.calibration else None,
+            right_disparity=self.right_disparity() if self.right_disparity else None,
+            right_nonocc=self.right_nonocc() if self.right_nonocc else None,
         )
 
 
@@ -162,9 +186,7 @@ class StereoDataset(Sequence[StereoSample]):
         return (entry.read() for entry in self.entries)
 
     def __repr__(self) -> str:
-        return (
-            f"StereoDataset({self.kind!r}, {os.fspath(self.root)!r}, split={self.split!r}, {len(self)} pairs)"
-        )
+        return f"StereoDataset({self.kind!r}, {os.fspath(self.root)!r}, split={self.split!r}, {len(self)} pairs)"
 
     def missing_files(self) -> list[Path]:
         """The files of the data set that are not there."""

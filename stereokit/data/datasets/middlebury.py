@@ -22,13 +22,13 @@ __all__ = ["middlebury2014", "middlebury_older", "middlebury_v3", "read_nonocc_m
 
 _RESOLUTIONS = ("F", "H", "Q")
 
-# Left and right image, ground truth of the left one: the file names of the older scenes, most telling first.
+# Left and right image, ground truth of each: the file names of the older scenes, most telling first.
 _OLDER_NAMES = (
-    ("imL", "imR", "groundtruth"),  # the second evaluation
-    ("view1", "view5", "disp1"),  # 2005 and 2006
-    ("scene1.row3.col3", "scene1.row3.col4", "truedisp.row3.col3"),  # tsukuba, 2001
-    ("im2", "im6", "disp2"),  # 2001 and 2003
-    ("im0", "im1", "disp0"),  # map, 2001
+    ("imL", "imR", "groundtruth", None),  # the second evaluation
+    ("view1", "view5", "disp1", "disp5"),  # 2005 and 2006
+    ("scene1.row3.col3", "scene1.row3.col4", "truedisp.row3.col3", None),  # tsukuba, 2001
+    ("im2", "im6", "disp2", "disp6"),  # 2001 and 2003
+    ("im0", "im1", "disp0", "disp1"),  # map, 2001
 )
 _OLDER_SUFFIXES = (".png", ".ppm", ".pgm")
 _SCALES_2001 = {
@@ -137,31 +137,34 @@ def read_nonocc_mask(path: Path) -> Mask:
 
 
 def _entry(scene: Path, name: str, truth: str, *, required: bool) -> StereoEntry:
-    disparity, nonocc, calibration = scene / truth, scene / "mask0nocc.png", scene / "calib.txt"
+    disparity = scene / truth
     return StereoEntry(
         name=name,
         left=scene / "im0.png",
         right=scene / "im1.png",
         disparity=Source(disparity, read_pfm) if required or disparity.is_file() else None,
-        nonocc=Source(nonocc, read_nonocc_mask) if nonocc.is_file() else None,
-        calibration=Source(calibration, read_middlebury_calibration) if calibration.is_file() else None,
+        nonocc=Source.optional(scene / "mask0nocc.png", read_nonocc_mask),
+        calibration=Source.optional(scene / "calib.txt", read_middlebury_calibration),
+        right_disparity=Source.optional(scene / truth.replace("disp0", "disp1"), read_pfm),
+        right_nonocc=Source.optional(scene / "mask1nocc.png", read_nonocc_mask),
     )
 
 
 def _older_entry(root: Path, folder: Path, scale: float | None) -> StereoEntry | None:
     for names in _OLDER_NAMES:
-        left, right, truth = (_with_suffix(folder, name) for name in names)
+        left, right, truth, right_truth = (_with_suffix(folder, name) if name else None for name in names)
         if sum(path is not None for path in (left, right, truth)) < 2:
             continue
         suffix = next(path.suffix for path in (left, right) if path)
         left, right = left or folder / f"{names[0]}{suffix}", right or folder / f"{names[1]}{suffix}"
-        nonocc = folder / "nonocc.png"
+        read = partial(_read_older, truth=truth, left=left, scale=scale) if truth else None
         return StereoEntry(
             name=folder.relative_to(root).as_posix() if folder != root else folder.resolve().name,
             left=left,
             right=right,
-            disparity=Source(truth, partial(_read_older, left=left, scale=scale)) if truth else None,
-            nonocc=Source(nonocc, read_nonocc_mask) if nonocc.is_file() else None,
+            disparity=Source(truth, read) if truth and read else None,
+            nonocc=Source.optional(folder / "nonocc.png", read_nonocc_mask),
+            right_disparity=Source(right_truth, read) if right_truth and read else None,
         )
     return None
 
@@ -170,8 +173,9 @@ def _with_suffix(folder: Path, name: str) -> Path | None:
     return next((path for suffix in _OLDER_SUFFIXES if (path := folder / f"{name}{suffix}").is_file()), None)
 
 
-def _read_older(path: Path, *, left: Path, scale: float | None) -> Disparity:
-    return read_scaled_png(path, scale=scale or _published_scale(path, left))
+def _read_older(path: Path, *, truth: Path, left: Path, scale: float | None) -> Disparity:
+    """Reads either view's disparity, which is scaled as the left view's one, `truth`, is."""
+    return read_scaled_png(path, scale=scale or _published_scale(truth, left))
 
 
 def _published_scale(truth: Path, left: Path) -> float:

@@ -1,4 +1,4 @@
-"""SceneFlow: FlyingThings3D, Monkaa and Driving, rendered, with dense ground truth.
+"""SceneFlow: FlyingThings3D, Monkaa and Driving, rendered, with dense ground truth for both views.
 
 The archives unpack into several trees, and projects rearrange them. All of these are found, below the given
 folder or below folders in it named after the three parts:
@@ -10,9 +10,9 @@ folder or below folders in it named after the three parts:
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ __all__ = ["read_sceneflow_disparity", "sceneflow"]
 
 _PARTS = ("flyingthings3d", "monkaa", "driving")
 _PREFIXES = ("", "flyingthings3d_", "flyingthings3d__", "monkaa_", "monkaa__", "driving_", "driving__")
+T = TypeVar("T")
 _Found: TypeAlias = tuple[str, str, StereoEntry]
 _SUBSET_PASSES = {"cleanpass": "image_clean", "finalpass": "image_final"}
 
@@ -129,9 +130,7 @@ def _flat(root: Path) -> Iterator[StereoEntry]:
     return _entries(root, root, first_folder([root / "disparity" / "left"]))
 
 
-def _entries(
-    root: Path, views: Path, truths: Path | None, occluded: Path | None = None
-) -> Iterator[StereoEntry]:
+def _entries(root: Path, views: Path, truths: Path | None, occluded: Path | None = None) -> Iterator[StereoEntry]:
     for name in image_names(views / "left", views / "right"):
         left, stem = views / "left" / name, Path(name).stem
         yield StereoEntry(
@@ -140,7 +139,14 @@ def _entries(
             right=views / "right" / name,
             disparity=Source(truths / f"{stem}.pfm", read_sceneflow_disparity) if truths else None,
             nonocc=Source.within(occluded, f"{stem}.png", _read_nonocc) if occluded else None,
+            right_disparity=_of_right_view(truths, f"{stem}.pfm", read_sceneflow_disparity),
+            right_nonocc=_of_right_view(occluded, f"{stem}.png", _read_nonocc),
         )
+
+
+def _of_right_view(lefts: Path | None, name: str, read: Callable[[Path], T]) -> Source[T] | None:
+    """The right view's file beside a folder of the left views' ones, which many keep alone."""
+    return Source.optional(lefts.with_name("right") / name, read) if lefts else None
 
 
 def _read_nonocc(path: Path) -> Mask:

@@ -1,5 +1,7 @@
 """Pairs whose truth is known by construction, and a measure of how true x_right = x_left - d is."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from stereokit.data.calibration import Calibration
@@ -8,7 +10,7 @@ from stereokit.data.datasets import StereoSample
 CAMERA = Calibration(fx=100.0, baseline=0.5, cx0=20.0, cx1=23.0, width=48, height=32)
 
 
-def layered(seed=0, height=32, width=48, floating=False, depths=(3, 6, 9)):
+def layered(seed=0, height=32, width=48, floating=False, depths=(3, 6, 9), both=False):
     """Boards at whole-numbered disparities before a wall, each with its own texture; exact."""
     rng = np.random.default_rng(seed)
     boards = [(0, height, -width, 2 * width, 1)]
@@ -34,9 +36,13 @@ def layered(seed=0, height=32, width=48, floating=False, depths=(3, 6, 9)):
                 seen_right[top:bottom, begin:end] = d
     match = np.arange(width) - disparity.astype(int)
     nonocc = (match >= 0) & (np.take_along_axis(seen_right, np.maximum(match, 0), 1) == disparity)
+    match = np.arange(width) + seen_right.astype(int)
+    right_nonocc = match < width
+    right_nonocc &= np.take_along_axis(disparity, np.minimum(match, width - 1), 1) == seen_right
     if floating:
         left, right = (view.astype(np.float32) / 255 for view in (left, right))
-    return StereoSample("layered", left, right, disparity, nonocc, objects, CAMERA)
+    pair = StereoSample("layered", left, right, disparity, nonocc, objects, CAMERA)
+    return replace(pair, right_disparity=seen_right, right_nonocc=right_nonocc) if both else pair
 
 
 def slanted(offset=4.0, slope=0.05, height=32, width=48):
@@ -49,8 +55,19 @@ def slanted(offset=4.0, slope=0.05, height=32, width=48):
         waves = [np.sin(columns / period + rows / 9 + period) for period in (2.7, 4.1, 5.3)]
         return (0.5 + 0.45 * np.stack(waves, axis=-1)).astype(np.float32)
 
-    return StereoSample(
-        "slanted", texture(x), texture((x + offset) / (1 - slope)), disparity, None, None, CAMERA
+    return StereoSample("slanted", texture(x), texture((x + offset) / (1 - slope)), disparity, None, None, CAMERA)
+
+
+def right_errors(sample):
+    """|right(x) - left(x + d)|, which is `errors` seen in a mirror."""
+    return errors(
+        StereoSample(
+            "mirrored",
+            sample.right[:, ::-1],
+            sample.left[:, ::-1],
+            sample.right_disparity[:, ::-1],
+            None if sample.right_nonocc is None else sample.right_nonocc[:, ::-1],
+        )
     )
 
 

@@ -12,9 +12,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def same_geometry(result, pair):
-    return all(
-        getattr(result, part) is getattr(pair, part) for part in ("disparity", "objects", "calibration")
-    )
+    return all(getattr(result, part) is getattr(pair, part) for part in ("disparity", "objects", "calibration"))
 
 
 @given(seed=SEEDS, floating=st.booleans())
@@ -120,3 +118,13 @@ def test_random_occlusion_has_its_size():
     for smallest, largest in ((0, 1), (3, 2)):
         with pytest.raises(InputError, match="0 < smallest <= largest"):
             random_occlusion(pair, np.random.default_rng(), smallest=smallest, largest=largest)
+
+
+def test_what_is_hidden_has_no_truth_of_its_own():
+    pair = layered(both=True)
+    result = occlude_right_view(pair, top=4, left=-3, height=10, width=20)
+    inside = np.zeros(pair.right_disparity.shape, bool)
+    inside[4:14, :17] = True
+    np.testing.assert_array_equal(result.right_disparity, np.where(inside, np.nan, pair.right_disparity))
+    np.testing.assert_array_equal(result.right_nonocc, pair.right_nonocc & ~inside)
+    assert np.isfinite(pair.right_disparity).all()

@@ -15,8 +15,10 @@ from stereokit.data.augmentation import (
     vertical_jitter,
 )
 from stereokit.data.datasets import StereoSample
+from stereokit.data.datasets.sceneflow import sceneflow
 from stereokit.errors import InputError
-from tests.data.augmentation.pairs import errors, layered, slanted
+from tests.data.augmentation.pairs import errors, layered, right_errors, slanted
+from tests.shared import SHARED, needs_shared
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -59,9 +61,7 @@ def test_crop_is_the_same_window_everywhere():
 def test_crops_reach_every_place():
     image = np.arange(60, dtype=np.uint8).reshape(4, 5, 3)
     pair = StereoSample("a", image, image)
-    found = {
-        random_crop(pair, np.random.default_rng(seed), height=3, width=3).left.tobytes() for seed in range(80)
-    }
+    found = {random_crop(pair, np.random.default_rng(seed), height=3, width=3).left.tobytes() for seed in range(80)}
     assert len(found) == 2 * 3
 
 
@@ -74,9 +74,7 @@ def test_crop_outside(top, left, height, width):
 
 
 def test_crop_larger_than_the_image():
-    with pytest.raises(
-        InputError, match="a crop of 64 x 32 was asked for, the image is 48 x 32; choose a smaller"
-    ):
+    with pytest.raises(InputError, match="a crop of 64 x 32 was asked for, the image is 48 x 32; choose a smaller"):
         random_crop(layered(), np.random.default_rng(), height=32, width=64)
 
 
@@ -97,9 +95,7 @@ def test_flip_keeps_the_truth(seed, density, mask, floating):
     np.testing.assert_array_equal(result.right, pair.left[:, ::-1])
     assert errors(result).max() == 0
     known = np.isfinite(result.disparity)
-    assert set(np.unique(result.disparity[known])) <= set(
-        np.unique(pair.disparity[np.isfinite(pair.disparity)])
-    )
+    assert set(np.unique(result.disparity[known])) <= set(np.unique(pair.disparity[np.isfinite(pair.disparity)]))
     # Every seen pixel arrives once, with its object.
     seen = np.isfinite(pair.disparity) & pair.nonocc
     assert known.sum() == seen.sum()
@@ -133,6 +129,78 @@ def test_a_far_surface_does_not_show_through_the_gaps_of_a_near_one():
     assert np.isfinite(covered).any()
 
 
+@given(seed=SEEDS, masks=st.booleans(), floating=st.booleans())
+@settings(deadline=None)
+def test_flip_with_both_truths_is_a_mirror(seed, masks, floating):
+    pair = layered(seed, floating=floating, both=True)
+    assert right_errors(pair).max() == 0
+    pair = pair if masks else replace(pair, nonocc=None, right_nonocc=None)
+    flipped = flip_and_swap(pair)
+    np.testing.assert_array_equal(flipped.disparity, pair.right_disparity[:, ::-1])
+    if masks:
+        assert errors(flipped).max() == right_errors(flipped).max() == 0
+    back = flip_and_swap(flipped)
+    for part in ("left", "right", "disparity", "right_disparity", "nonocc", "right_nonocc"):
+        np.testing.assert_array_equal(getattr(back, part), getattr(pair, part))
+    assert back.calibration == pair.calibration
+
+
+def test_flip_mirrors_the_right_truth_where_it_is_the_only_one():
+    pair = replace(layered(both=True), disparity=None, nonocc=None, objects=None)
+    flipped = flip_and_swap(pair)
+    assert errors(flipped).max() == 0
+    assert flipped.right_disparity is flipped.right_nonocc is None
+
+
+def test_both_truths_carry_objects_as_one_does():
+    pair = layered(both=True)
+    alone = replace(pair, right_disparity=None, right_nonocc=None)
+    np.testing.assert_array_equal(flip_and_swap(pair).objects, flip_and_swap(alone).objects)
+
+
+@needs_shared
+def test_flip_of_a_rendered_pair_fits_its_images():
+    (pair,) = sceneflow(SHARED / "data" / "real" / "sceneflow")
+    flipped = flip_and_swap(pair)
+    assert np.isfinite(flipped.disparity).all()
+    for sample, measure in ((pair, errors), (flipped, errors), (pair, right_errors), (flipped, right_errors)):
+        assert np.median(measure(sample)) < 4
+    wrong = replace(flipped, disparity=flipped.disparity + 2)
+    assert errors(wrong).mean() > 1.3 * errors(flipped).mean()
+    for part in ("left", "right", "disparity", "right_disparity"):
+        np.testing.assert_array_equal(getattr(flip_and_swap(flipped), part), getattr(pair, part))
+
+
+@given(seed=SEEDS)
+@settings(deadline=None)
+def test_the_right_truth_moves_with_the_right_view(seed):
+    rng = np.random.default_rng(seed)
+    pair = layered(seed, both=True)
+    cropped = random_crop(pair, rng, height=20, width=30)
+    assert errors(cropped).max() == right_errors(cropped).max() == 0
+    assert not cropped.right_nonocc[np.arange(30) + cropped.right_disparity > 29].any()
+    larger = scale(pair, height=64, width=96)
+    known = np.isfinite(larger.right_disparity)
+    assert known.sum() == pair.right_disparity.size
+    np.testing.assert_array_equal(larger.right_disparity[known], 2 * pair.right_disparity.ravel())
+    assert larger.right_nonocc.sum() == 4 * pair.right_nonocc.sum()
+    down = int(rng.integers(-5, 6))
+    shifted = shift_right_view(pair, down=down)
+    inside = slice(max(down, 0), 32 + min(down, 0))
+    for part in ("right_disparity", "right_nonocc"):
+        np.testing.assert_array_equal(getattr(shifted, part)[inside], np.roll(getattr(pair, part), down, 0)[inside])
+    assert np.isnan(shifted.right_disparity).sum() == abs(down) * 48
+    assert not np.delete(shifted.right_nonocc, inside, axis=0).any()
+
+
+@pytest.mark.parametrize(("down", "row"), [(0.4, 5), (0.6, 4), (-0.6, 6), (1.4, 4)])
+def test_the_right_truth_goes_to_the_nearest_row(down, row):
+    truth = np.arange(12, dtype=np.float32)[:, None] * np.ones((1, 4), np.float32)
+    image = np.zeros((12, 4, 3), np.uint8)
+    shifted = shift_right_view(StereoSample("a", image, image, right_disparity=truth), down=down)
+    assert shifted.right_disparity[5, 0] == row
+
+
 def test_flip_without_truth():
     pair = layered()
     result = flip_and_swap(StereoSample("a", pair.left, pair.right))
@@ -156,9 +224,7 @@ def test_scale_keeps_the_truth(height, width, slope, offset):
     assert np.quantile(errors(result), 0.95) < allowed
     for wrong in (1.0, -1.0):
         assert errors(result, result.disparity + np.float32(wrong)).mean() > errors(result).mean()
-    assert result.calibration.depth(4.0 * ratio) == pytest.approx(
-        float(pair.calibration.depth(4.0)), rel=1e-5
-    )
+    assert result.calibration.depth(4.0 * ratio) == pytest.approx(float(pair.calibration.depth(4.0)), rel=1e-5)
 
 
 @given(seed=SEEDS, height=st.integers(1, 90), width=st.integers(1, 130))
@@ -191,9 +257,7 @@ def test_random_scale_stays_in_its_range(seed):
     height, width, _ = random_scale(layered(), rng, lowest=0.5, highest=2.0).left.shape
     assert 16 <= height <= 64
     assert abs(width / 48 - height / 32) <= 0.5 / 32 + 0.5 / 48
-    height, width, _ = random_scale(
-        layered(), rng, lowest=0.5, highest=0.6, min_height=40, min_width=50
-    ).left.shape
+    height, width, _ = random_scale(layered(), rng, lowest=0.5, highest=0.6, min_height=40, min_width=50).left.shape
     assert (height, width) == (40, 60)
     for lowest, highest in ((0, 1), (2, 1), (-1, 1)):
         with pytest.raises(InputError, match="0 < lowest <= highest"):
@@ -215,9 +279,7 @@ def test_shift_moves_the_match_down_and_not_aside(down, seed):
 
 
 def test_vertical_jitter_stays_in_its_range():
-    ramp = np.repeat(np.linspace(0, 1, 32, dtype=np.float32)[:, None, None], 3, axis=2) * np.ones(
-        (1, 48, 1), "f4"
-    )
+    ramp = np.repeat(np.linspace(0, 1, 32, dtype=np.float32)[:, None, None], 3, axis=2) * np.ones((1, 48, 1), "f4")
     pair = StereoSample("a", ramp, ramp)
     moves = []
     for seed in range(50):

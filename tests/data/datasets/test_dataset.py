@@ -44,13 +44,15 @@ def test_it_goes_to_the_workers_of_a_loader(tmp_path):
         trees.assert_pair(sample, number)
 
 
-@pytest.mark.parametrize("part", ["right", "disparity", "nonocc", "objects"])
+@pytest.mark.parametrize("part", ["right", "disparity", "nonocc", "objects", "right_disparity", "right_nonocc"])
 def test_the_parts_are_of_one_size(part):
     parts = {
         "right": np.zeros((2, 4, 3), np.uint8),
         "disparity": np.zeros((2, 4), np.float32),
         "nonocc": np.zeros((2, 4), bool),
         "objects": np.zeros((2, 4), np.uint8),
+        "right_disparity": np.zeros((2, 4), np.float32),
+        "right_nonocc": np.zeros((2, 4), bool),
     }
     left = np.zeros((2, 4, 3), np.uint8)
     StereoSample("a", left, **parts)

@@ -88,6 +88,35 @@ def test_older_scales(tmp_path, name, names, suffix, width, scale):
     assert np.nanmax(sample.disparity) == np.nanmin(sample.disparity) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "names", "right", "width", "scale"),
+    [
+        ("Art", ("view1", "view5", "disp1"), "disp5", 695, 2),
+        ("cones", ("im2", "im6", "disp2"), "disp6", 450, 4),
+        ("map", ("im0", "im1", "disp0"), "disp1", 284, 8),
+    ],
+)
+def test_older_right_truth(tmp_path, name, names, right, width, scale):
+    older(tmp_path / name, names, scale, shape=(2, width))
+    assert middlebury_older(tmp_path)[0].right_disparity is None
+    trees.save(tmp_path / name / f"{right}.png", np.full((2, width), 5 * scale, np.uint8))
+    (sample,) = middlebury_older(tmp_path)
+    assert (np.nanmax(sample.disparity), np.nanmax(sample.right_disparity)) == (2, 5)
+
+
+@pytest.mark.parametrize(("dataset", "place"), [(middlebury2014, "Art"), (middlebury_v3, "trainingH/Art")])
+def test_right_truth_of_newer_scenes(tmp_path, dataset, place):
+    end = "GT" if dataset is middlebury_v3 else ""
+    scene(tmp_path / place, f"disp0{end}.pfm")
+    assert dataset(tmp_path)[0].right_disparity is None
+    trees.save(tmp_path / place / f"disp1{end}.pfm", trees.DISPARITY + 1)
+    trees.save(tmp_path / place / "mask1nocc.png", np.where(trees.KNOWN, 255, 128).astype(np.uint8))
+    (sample,) = dataset(tmp_path)
+    trees.assert_truth(sample)
+    np.testing.assert_array_equal(sample.right_disparity, trees.DISPARITY + 1)
+    np.testing.assert_array_equal(sample.right_nonocc, trees.KNOWN)
+
+
 def test_older_masks_and_info(tmp_path):
     older(tmp_path / "mine", ("imL", "imR", "groundtruth"), 5)
     trees.save(tmp_path / "mine" / "nonocc.png", np.where(trees.KNOWN, 255, 0).astype(np.uint8))
@@ -127,5 +156,7 @@ def test_real_scenes(tmp_path):
     for sample in dataset:
         assert np.nanmax(sample.disparity) == pytest.approx(highest[sample.name], abs=0.5)
         assert (sample.nonocc is None) == (sample.name == "Cloth3")
+        assert (sample.right_disparity is None) == (sample.name != "Cloth3")
+    assert np.nanmax(dataset[0].right_disparity) == pytest.approx(83, abs=1)
     shutil.copytree(SHARED / "data" / "real" / "eth3d" / "terrace", tmp_path / "scene")
     assert len(middlebury2014(tmp_path)) == 1

@@ -46,9 +46,11 @@ def test_layouts(tmp_path, layout):
         trees.assert_pair(sample)
         trees.assert_truth(sample)
         assert sample.nonocc is None
-    assert [
-        len(sceneflow(tmp_path, split="train", part=part)) for part in ("flyingthings3d", "monkaa", "driving")
-    ] == [1, 1, 1]
+    assert [len(sceneflow(tmp_path, split="train", part=part)) for part in ("flyingthings3d", "monkaa", "driving")] == [
+        1,
+        1,
+        1,
+    ]
 
 
 def test_passes_are_kept_apart(tmp_path):
@@ -58,22 +60,39 @@ def test_passes_are_kept_apart(tmp_path):
     assert len(sceneflow(tmp_path, split="all")) == 4
 
 
+def test_the_right_view_has_its_own_truth_where_it_is_there(tmp_path):
+    as_many_projects_keep_it(tmp_path)
+    right = np.full(trees.SHAPE, 7, np.float32)
+    for path in sorted(tmp_path.glob("frames_disparity/**/left/*.pfm")):
+        trees.save(path.parent.with_name("right") / path.name, -right)
+    for sample in sceneflow(tmp_path, split="all"):
+        trees.assert_truth(sample)
+        if "TEST" in sample.name or "TRAIN" in sample.name:
+            np.testing.assert_array_equal(sample.right_disparity, right)
+        else:
+            assert sample.right_disparity is None
+    trees.save(path.parent.with_name("right") / "other.pfm", right)
+    (path.parent.with_name("right") / path.name).unlink()
+    assert sceneflow(tmp_path, split="all").missing_files() == []
+    assert sum(sample.right_disparity is None for sample in sceneflow(tmp_path, split="all")) == 3
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_subset_and_its_negative_disparity(tmp_path, sign):
     base = tmp_path / "FlyingThings3D_subset"
     for number, part in enumerate(("train", "val")):
         views = [base / part / "image_clean" / view / "0000000.png" for view in ("left", "right")]
         trees.save_pair(*views, number)
-        trees.save(
-            base / part / "disparity" / "left" / "0000000.pfm", (sign * trees.DISPARITY).astype(np.float32)
-        )
+        trees.save(base / part / "disparity" / "left" / "0000000.pfm", (sign * trees.DISPARITY).astype(np.float32))
         occluded = np.where(np.arange(9) < 4, 255, 0).astype(np.uint8) * np.ones((6, 1), np.uint8)
         trees.save(base / part / "disparity_occlusions" / "left" / "0000000.png", occluded)
+        trees.save(base / part / "disparity_occlusions" / "right" / "0000000.png", occluded[:, ::-1].copy())
     for number, split in enumerate(("train", "test")):
         (sample,) = sceneflow(tmp_path, split=split, image_pass="cleanpass")
         trees.assert_pair(sample, number)
         trees.assert_truth(sample)
         np.testing.assert_array_equal(sample.nonocc, np.broadcast_to(np.arange(9) >= 4, (6, 9)))
+        np.testing.assert_array_equal(sample.right_nonocc, sample.nonocc[:, ::-1])
 
 
 def test_one_file_has_one_sign(tmp_path):
@@ -111,4 +130,5 @@ def test_other_trees(tmp_path):
 def test_real_sceneflow():
     (sample,) = sceneflow(SHARED / "data" / "real" / "sceneflow")
     assert sample.disparity.shape == (540, 960)
-    assert 1 < np.nanmin(sample.disparity) < np.nanmax(sample.disparity) < 76
+    for truth in (sample.disparity, sample.right_disparity):
+        assert 1 < np.nanmin(truth) < np.nanmax(truth) < 76
