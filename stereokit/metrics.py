@@ -214,9 +214,7 @@ class StereoMetrics:
     (0.0, 3)
     """
 
-    def __init__(
-        self, *, taus: Sequence[float] = (1.0, 2.0, 3.0), max_disparity: float | None = None
-    ) -> None:
+    def __init__(self, *, taus: Sequence[float] = (1.0, 2.0, 3.0), max_disparity: float | None = None) -> None:
         self.taus = tuple(_checked_tau(tau) for tau in taus)
         self.max_disparity = None if max_disparity is None else _checked_ceiling(max_disparity)
         self._measures = ("epe", *(f"bad_{tau:g}" for tau in self.taus), "d1")
@@ -255,9 +253,7 @@ class StereoMetrics:
         """
         error, truth, valid = _absolute_error(prediction, truth, None, self.max_disparity)
         if error.ndim != 3:
-            raise InputError(
-                f"prediction has shape {tuple(error.shape)}; expected a batch of maps, (B, H, W)"
-            )
+            raise InputError(f"prediction has shape {tuple(error.shape)}; expected a batch of maps, (B, H, W)")
         finite = torch.isfinite(error)
         bad = [error > tau for tau in self.taus] + [_is_outlier(error, truth)]
         error = error.masked_fill(~finite, 0)
@@ -332,9 +328,7 @@ class StereoMetrics:
         for name in ("taus", "max_disparity"):
             mine, theirs = getattr(self, name), getattr(other, name)
             if mine != theirs:
-                raise InputError(
-                    f"metrics with {name}={mine} and {name}={theirs} can't be merged; use one for both"
-                )
+                raise InputError(f"metrics with {name}={mine} and {name}={theirs} can't be merged; use one for both")
         for name, tensor in self._tensors().items():
             tensor += other._tensors()[name]
         return self
@@ -385,9 +379,7 @@ class StereoMetrics:
             for name, tensor in metrics._tensors().items():
                 values = torch.tensor(state[name], dtype=tensor.dtype)
                 if values.shape != tensor.shape:
-                    raise InputError(
-                        f"{name} has shape {tuple(values.shape)}; expected {tuple(tensor.shape)}"
-                    )
+                    raise InputError(f"{name} has shape {tuple(values.shape)}; expected {tuple(tensor.shape)}")
                 tensor.copy_(values)
         except (TypeError, ValueError, OverflowError, RuntimeError) as error:
             raise InputError(f"the metrics' state is damaged: {error}") from error
@@ -413,8 +405,7 @@ def _absolute_error(
             raise InputError(f"{name} is {kind}; expected disparity in pixels, a floating-point torch.Tensor")
     if prediction.shape != truth.shape:
         raise InputError(
-            f"prediction has shape {tuple(prediction.shape)} and truth {tuple(truth.shape)}; "
-            "expected the same for both"
+            f"prediction has shape {tuple(prediction.shape)} and truth {tuple(truth.shape)}; expected the same for both"
         )
     # In float64 the difference of two float32 numbers is exact, so that an error of exactly 3 px is not
     # "above 3". Apple's GPUs have no float64.

@@ -37,7 +37,7 @@ class StereoOutput(NamedTuple):
     disparity: Tensor
     """(B, H, W), pixels of the left image."""
     auxiliary: tuple[Tensor, ...] = ()
-    """Further disparities (B, H, W) for the loss, as `StereoModel.auxiliary_weights` orders them. Empty in eval mode."""
+    """(B, H, W) each, for the loss, as `StereoModel.auxiliary_weights` orders them. Empty in eval mode."""
     confidence: Tensor | None = None
     """(B, H, W) in [0, 1]: the probability mass behind the estimate. None in training mode."""
     logits: Tensor | None = None

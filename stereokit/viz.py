@@ -53,9 +53,7 @@ KITTI_ERROR_COLORS: tuple[tuple[float, tuple[int, int, int]], ...] = (
 NO_PREDICTION_COLOR = (255, 0, 255)
 
 
-def robust_range(
-    *disparities: npt.ArrayLike, percentiles: tuple[float, float] = (1.0, 99.0)
-) -> tuple[float, float]:
+def robust_range(*disparities: npt.ArrayLike, percentiles: tuple[float, float] = (1.0, 99.0)) -> tuple[float, float]:
     """The range of values that colours should span, less a few outliers.
 
     Several maps give one range for all of them, so that a prediction and its truth can be compared by colour.
@@ -193,9 +191,7 @@ def error_picture(
     """
     predicted, true = _as_map(prediction, "prediction"), _as_map(truth, "truth")
     if predicted.shape != true.shape:
-        raise InputError(
-            f"prediction is {predicted.shape} and truth {true.shape}; expected two maps of one size"
-        )
+        raise InputError(f"prediction is {predicted.shape} and truth {true.shape}; expected two maps of one size")
     known = np.isfinite(true) & (true > 0)
     invalid = ~np.isfinite(predicted)
     # In float64 the difference of two float32 numbers is exact, so that an error of exactly 3 px stays blue.
@@ -344,9 +340,7 @@ def distribution_figure(
         disparity = (disparities[cell] if disparities.ndim == 3 else disparities).astype(np.float64)
         probability = volume[cell] if probabilities else _softmax(volume[cell])
         if not np.isfinite(probability).all():
-            raise InputError(
-                f"the logits at pixel ({x}, {y}) are not finite; expected a number per candidate"
-            )
+            raise InputError(f"the logits at pixel ({x}, {y}) are not finite; expected a number per candidate")
         kept = np.zeros(levels, bool)
         kept[np.argsort(-probability, kind="stable")[:k]] = True
         gaps = np.diff(np.unique(disparity))
@@ -376,9 +370,7 @@ def _softmax(scores: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return np.asarray(weight / weight.sum())
 
 
-def _scale(
-    at_least: int, value_range: tuple[float, float], colors: Picture, *, text_height: int, unit: str
-) -> Picture:
+def _scale(at_least: int, value_range: tuple[float, float], colors: Picture, *, text_height: int, unit: str) -> Picture:
     """A horizontal colour bar over as many round numbers as fit, `at_least` so many pixels wide, on white."""
     lo, hi = value_range
     gap = text_height // 2
@@ -451,9 +443,7 @@ def _color_table(name: str) -> Picture:
 def _checked_range(value_range: tuple[float, float]) -> tuple[float, float]:
     lo, hi = (float(v) for v in value_range)
     if not (math.isfinite(lo) and math.isfinite(hi) and lo < hi):
-        raise InputError(
-            f"value_range is ({lo:g}, {hi:g}); expected two finite numbers with lo < hi, such as (0, 192)"
-        )
+        raise InputError(f"value_range is ({lo:g}, {hi:g}); expected two finite numbers with lo < hi, such as (0, 192)")
     return lo, hi
 
 

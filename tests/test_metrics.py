@@ -43,9 +43,7 @@ def batches(draw, max_images=3):
     shape, size = (images, height, width), images * height * width
 
     def tensor(elements, dtype):
-        return torch.tensor(draw(st.lists(elements, min_size=size, max_size=size)), dtype=dtype).reshape(
-            shape
-        )
+        return torch.tensor(draw(st.lists(elements, min_size=size, max_size=size)), dtype=dtype).reshape(shape)
 
     truth, error = tensor(truths, torch.float32), tensor(errors, torch.float32)
     known = torch.isfinite(truth)
@@ -268,9 +266,7 @@ def test_d1_counts_what_the_error_picture_shows_as_wrong(batch):
 def test_any_device_and_type_gives_the_same(device, dtype):
     random.seed(0)
     truth = torch.tensor([[[random.randint(0, 120) * 1.0 for _ in range(50)] for _ in range(40)]] * 2)
-    prediction = truth + torch.tensor(
-        [[[random.choice([0, 1, 3, 4, 6, NAN]) for _ in range(50)] for _ in range(40)]]
-    )
+    prediction = truth + torch.tensor([[[random.choice([0, 1, 3, 4, 6, NAN]) for _ in range(50)] for _ in range(40)]])
     nonoccluded = truth > 60
     expected = results_of(prediction, truth, nonoccluded)
     metrics = StereoMetrics()

@@ -21,9 +21,7 @@ from stereokit.viz import (
 )
 
 any_float32 = st.floats(width=32, allow_nan=True, allow_infinity=True)
-small_maps = hnp.arrays(
-    np.float32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=8), elements=any_float32
-)
+small_maps = hnp.arrays(np.float32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=8), elements=any_float32)
 
 
 @given(small_maps)
@@ -192,9 +190,7 @@ def test_an_overlay_refuses_other_images(image, said):
         overlay(image, np.ones((2, 3)))
 
 
-needs_matplotlib = pytest.mark.skipif(
-    importlib.util.find_spec("matplotlib") is None, reason="needs matplotlib"
-)
+needs_matplotlib = pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="needs matplotlib")
 
 
 def two_peaks():
@@ -214,9 +210,7 @@ def test_the_distribution_figure_shows_candidates_kept_estimate_and_truth(probab
     values = np.exp(logits) / np.exp(logits).sum(axis=0) if probabilities else torch.from_numpy(logits)
     truth = np.zeros((12, 16))
     truth[9, 14] = 14.5
-    figure = distribution_figure(
-        values, [(14, 9), (0, 0)], k=2, stride=4, truth=truth, probabilities=probabilities
-    )
+    figure = distribution_figure(values, [(14, 9), (0, 0)], k=2, stride=4, truth=truth, probabilities=probabilities)
     first, second = figure.axes
     left_out, kept = first.containers
     assert sorted(bar.get_x() + bar.get_width() / 2 for bar in kept) == pytest.approx([4, 16])

@@ -53,9 +53,7 @@ def atomic_path(path: str | os.PathLike[str], *, overwrite: bool = False) -> Ite
 def _check_target(target: Path, given: str | os.PathLike[str], *, overwrite: bool) -> None:
     name = os.fspath(given)
     if not target.parent.is_dir():
-        raise InputError(
-            f"{name!r} can't be written: the folder {os.fspath(Path(given).parent)!r} does not exist"
-        )
+        raise InputError(f"{name!r} can't be written: the folder {os.fspath(Path(given).parent)!r} does not exist")
     if target.exists() and not target.is_file():
         raise InputError(f"{name!r} can't be written: it exists and is not a regular file")
     if target.exists() and not overwrite:

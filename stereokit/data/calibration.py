@@ -68,23 +68,17 @@ class Calibration:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.fx) and self.fx > 0):
-            raise InputError(
-                f"calibration: the focal length must be a positive number of pixels, got {self.fx}"
-            )
+            raise InputError(f"calibration: the focal length must be a positive number of pixels, got {self.fx}")
         if not (math.isfinite(self.baseline) and self.baseline > 0):
             raise InputError(
                 f"calibration: the baseline must be a positive number of metres, got {self.baseline}; "
                 "a negative one means that the views are swapped"
             )
         if not (math.isfinite(self.cx0) and math.isfinite(self.cx1)):
-            raise InputError(
-                f"calibration: the principal points must be finite, got {self.cx0} and {self.cx1}"
-            )
+            raise InputError(f"calibration: the principal points must be finite, got {self.cx0} and {self.cx1}")
         for side in (self.width, self.height):
             if side is not None and side < 1:
-                raise InputError(
-                    f"calibration: the image size must be positive, got {self.width} x {self.height}"
-                )
+                raise InputError(f"calibration: the image size must be positive, got {self.width} x {self.height}")
 
     def depth(self, disparity: npt.ArrayLike) -> npt.NDArray[np.float32]:
         """Depth along the optical axis, Z = baseline * fx / (d + cx1 - cx0).
@@ -224,9 +218,7 @@ def read_middlebury_calibration(path: PathLike, *, metres_per_unit: float = _MIL
         cx1 = camera[2] + _numbers(path, "doffs", lines["doffs"], 1)[0]
     else:
         cx1 = _numbers(path, "cam1", _needed(path, lines, "cam1").strip("[]"), 9)[2]
-    width, height = (
-        _numbers(path, side, lines[side], 1)[0] if side in lines else None for side in ("width", "height")
-    )
+    width, height = (_numbers(path, side, lines[side], 1)[0] if side in lines else None for side in ("width", "height"))
     return _calibration(
         path,
         fx=camera[0],
@@ -253,9 +245,7 @@ def read_opencv_calibration(path: PathLike, *, metres_per_unit: float = 1.0) -> 
     Source: OpenCV's documentation of `stereoRectify` and `FileStorage`.
     """
     text = _read_text(path)
-    matrices = {
-        key: (int(rows), int(columns), data) for key, rows, columns, data in _OPENCV_MATRIX.findall(text)
-    }
+    matrices = {key: (int(rows), int(columns), data) for key, rows, columns, data in _OPENCV_MATRIX.findall(text)}
     width: float | None
     height: float | None
     if size := _OPENCV_SIZE.search(text):
@@ -276,9 +266,7 @@ def read_opencv_calibration(path: PathLike, *, metres_per_unit: float = 1.0) -> 
             f"{os.fspath(path)!r} holds the matrices {', '.join(matrices) or 'none'}; "
             "expected P1 and P2, or Q, which cv2.stereoRectify gives"
         )
-    return _calibration(
-        path, fx=fx, baseline=baseline * metres_per_unit, cx0=cx0, cx1=cx1, width=width, height=height
-    )
+    return _calibration(path, fx=fx, baseline=baseline * metres_per_unit, cx0=cx0, cx1=cx1, width=width, height=height)
 
 
 def _read_text(path: PathLike) -> str:
@@ -290,9 +278,7 @@ def _read_text(path: PathLike) -> str:
 
 def _needed(path: PathLike, lines: Mapping[str, str], key: str) -> str:
     if key not in lines:
-        raise InputError(
-            f"{os.fspath(path)!r} has no line {key!r}; it has {', '.join(lines)[:200] or 'none'}"
-        )
+        raise InputError(f"{os.fspath(path)!r} has no line {key!r}; it has {', '.join(lines)[:200] or 'none'}")
     return lines[key]
 
 

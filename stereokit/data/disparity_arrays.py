@@ -50,6 +50,5 @@ def check_claimed_size(path: PathLike, shape: tuple[int, ...]) -> None:
     if not (min(shape) > 0 and math.prod(shape) <= MAX_PIXELS):
         claimed = " x ".join(str(side) for side in reversed(shape))
         raise InputError(
-            f"{os.fspath(path)!r} claims {claimed} pixels; "
-            f"expected at least 1 and at most {MAX_PIXELS} in all"
+            f"{os.fspath(path)!r} claims {claimed} pixels; expected at least 1 and at most {MAX_PIXELS} in all"
         )

@@ -81,17 +81,13 @@ def read_disparity(path: PathLike, *, scale: float | None = None, encoding: str 
         if scale is not None:
             raise InputError(f"{name!r}: give scale or encoding, not both; got {scale} and {encoding!r}")
         if encoding not in ENCODINGS:
-            raise InputError(
-                f"unknown disparity encoding {encoding!r}; expected one of {', '.join(ENCODINGS)}"
-            )
+            raise InputError(f"unknown disparity encoding {encoding!r}; expected one of {', '.join(ENCODINGS)}")
         return ENCODINGS[encoding](path)
     start = read_file_bytes(path, 8)
     for magic, reader in _MAGICS.items():
         if start.startswith(magic):
             if scale is not None:
-                raise InputError(
-                    f"{name!r} holds disparity itself, which has no scale; leave out scale={scale}"
-                )
+                raise InputError(f"{name!r} holds disparity itself, which has no scale; leave out scale={scale}")
             return reader(path)
     if scale is not None:
         return read_scaled_png(path, scale=scale)

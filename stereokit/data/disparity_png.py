@@ -141,8 +141,7 @@ def _read_deep(path: PathLike, scale: int) -> Disparity:
     if samples.dtype != np.uint16 or samples.ndim != 2:
         channels = 1 if samples.ndim == 2 else samples.shape[2]
         raise InputError(
-            f"{os.fspath(path)!r} has {samples.dtype} samples in {channels} channels; "
-            "expected a 16-bit grey PNG"
+            f"{os.fspath(path)!r} has {samples.dtype} samples in {channels} channels; expected a 16-bit grey PNG"
         )
     return unscaled(samples, scale)
 

@@ -108,9 +108,7 @@ def write_image(path: str | os.PathLike[str], rgb: npt.NDArray[Any], *, overwrit
         samples, suffixes = rgb, (*suffixes, ".jpg", ".jpeg", ".bmp", ".webp")
     elif rgb.dtype in (np.float32, np.float64):
         if not (np.isfinite(rgb).all() and rgb.min() >= 0 and rgb.max() <= 1):
-            raise InputError(
-                f"{name!r}: a floating-point image must lie in [0, 1]; divide by 255, or clip it"
-            )
+            raise InputError(f"{name!r}: a floating-point image must lie in [0, 1]; divide by 255, or clip it")
         samples = np.rint(rgb * 65535).astype(np.uint16)
     else:
         raise InputError(f"{name!r}: expected uint8, or float in [0, 1], got {rgb.dtype}")
@@ -130,8 +128,7 @@ def write_samples(path: str | os.PathLike[str], samples: npt.NDArray[Any], *, ov
         encodable = False
     if not encodable:
         raise InputError(
-            f"{os.fspath(path)!r}: {samples.dtype} samples of shape {samples.shape} "
-            f"can't be encoded as {suffix!r}"
+            f"{os.fspath(path)!r}: {samples.dtype} samples of shape {samples.shape} can't be encoded as {suffix!r}"
         )
     with atomic_path(path, overwrite=overwrite) as temporary:
         temporary.write_bytes(encoded.tobytes())
@@ -169,9 +166,7 @@ def _decode(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], ImageHeader
     if decoded is None:
         raise InputError(f"{os.fspath(path)!r} is a broken image: its {header.format} data can't be decoded")
     if decoded.dtype not in (np.uint8, np.uint16):
-        raise InputError(
-            f"{os.fspath(path)!r} holds {decoded.dtype} samples; expected 8 or 16 bits per sample"
-        )
+        raise InputError(f"{os.fspath(path)!r} holds {decoded.dtype} samples; expected 8 or 16 bits per sample")
     if decoded.ndim == 2:
         return decoded, header
     to_rgb = cv2.COLOR_BGR2RGB if decoded.shape[2] == 3 else cv2.COLOR_BGRA2RGBA

@@ -96,9 +96,7 @@ def _read_stream(path: PathLike, file: IO[bytes]) -> Disparity:
     try:
         shape, fortran_order, dtype = _read_header(file)
     except (ValueError, TypeError, KeyError, SyntaxError, MemoryError, RecursionError) as error:
-        raise InputError(
-            f"{name!r} is a broken npy: {(str(error) or repr(error)).splitlines()[0]}"
-        ) from error
+        raise InputError(f"{name!r} is a broken npy: {(str(error) or repr(error)).splitlines()[0]}") from error
     if dtype.kind not in "fiu" or len(shape) != 2:
         raise InputError(f"{name!r} holds {dtype} of shape {shape}; expected real numbers of shape (H, W)")
     check_claimed_size(path, shape)

@@ -60,9 +60,7 @@ def read_pfm(path: PathLike) -> Disparity:
     except ValueError:
         scale = math.nan
     if not abs(scale) > 0:
-        raise InputError(
-            f"{name!r}: the PFM's scale is {match['scale'].decode()!r}; expected a number other than 0"
-        )
+        raise InputError(f"{name!r}: the PFM's scale is {match['scale'].decode()!r}; expected a number other than 0")
     height, width = int(match["height"]), int(match["width"])
     check_claimed_size(path, (height, width))
     expected, actual = match.end() + 4 * height * width, os.path.getsize(path)

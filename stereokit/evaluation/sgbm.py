@@ -100,7 +100,8 @@ class SemiGlobalMatcher:
 
     def describe(self) -> dict[str, Any]:
         """The parameters, in plain JSON."""
-        return {"matcher": "OpenCV StereoSGBM", "device": "cpu", **asdict(self)}
+        name = f"OpenCV StereoSGBM, {self.paths} paths, holes {'filled' if self.fill else 'left'}"
+        return {"matcher": name, "device": "cpu", **asdict(self)}
 
 
 SGBM_VARIANTS: dict[str, SemiGlobalMatcher] = {

@@ -13,9 +13,7 @@ def damaged(draw: st.DrawFn, originals: list[bytes]) -> bytes:
         at = draw(st.integers(0, max(len(data), 64)) | st.integers(0, 64))
         noise = draw(
             st.binary(max_size=16)
-            | st.sampled_from(
-                [b"\xff" * 4, b"\0" * 4, b"1000000000", b"-1", b"nan", b"#", b"\n", b"\x7f\xff\xff\xff"]
-            )
+            | st.sampled_from([b"\xff" * 4, b"\0" * 4, b"1000000000", b"-1", b"nan", b"#", b"\n", b"\x7f\xff\xff\xff"])
         )
         kind = draw(st.sampled_from(["cut", "overwrite", "insert", "drop"]))
         if kind == "cut":

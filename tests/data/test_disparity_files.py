@@ -38,9 +38,7 @@ def test_sixteen_bits_may_have_another_scale(tmp_path):
     write_samples(tmp_path / "a.png", np.array([[0, 512]], np.uint16), overwrite=False)
     np.testing.assert_array_equal(read_disparity(tmp_path / "a.png"), [[np.nan, 2]])
     np.testing.assert_array_equal(read_disparity(tmp_path / "a.png", encoding="drivingstereo"), [[np.nan, 2]])
-    np.testing.assert_array_equal(
-        read_disparity(tmp_path / "a.png", encoding="drivingstereo-full"), [[np.nan, 4]]
-    )
+    np.testing.assert_array_equal(read_disparity(tmp_path / "a.png", encoding="drivingstereo-full"), [[np.nan, 4]])
     np.testing.assert_array_equal(read_disparity(tmp_path / "a.png", scale=64), [[np.nan, 8]])
 
 
@@ -81,9 +79,7 @@ def test_nothing_is_overwritten(tmp_path, suffix):
     assert read_disparity(path).tolist() == [[2]]
 
 
-@given(
-    data=st.data(), options=st.sampled_from([{}, {"scale": 4}, *({"encoding": name} for name in ENCODINGS)])
-)
+@given(data=st.data(), options=st.sampled_from([{}, {"scale": 4}, *({"encoding": name} for name in ENCODINGS)]))
 @settings(max_examples=200, deadline=None)
 def test_no_file_crashes_the_reader(tmp_path_factory, data, options):
     folder = tmp_path_factory.getbasetemp()

@@ -30,11 +30,7 @@ def test_kitti_integers_survive(tmp_path_factory, samples):
     np.testing.assert_array_equal(read_samples(path), samples)
 
 
-@given(
-    hnp.arrays(
-        np.float32, SHAPE, elements=st.floats(0, LARGEST, width=32) | st.just(np.nan) | st.just(np.inf)
-    )
-)
+@given(hnp.arrays(np.float32, SHAPE, elements=st.floats(0, LARGEST, width=32) | st.just(np.nan) | st.just(np.inf)))
 def test_kitti_keeps_what_is_known_within_half_a_step(tmp_path_factory, values):
     path = tmp_path_factory.getbasetemp() / "a.png"
     write_kitti_png(path, values, overwrite=True)
@@ -46,9 +42,7 @@ def test_kitti_keeps_what_is_known_within_half_a_step(tmp_path_factory, values):
 
 @pytest.mark.parametrize("value", [-1e-3, -1, 255.999, 256, 1e30])
 def test_kitti_does_not_wrap(tmp_path, value):
-    with pytest.raises(
-        InputError, match=r"from 0 to 255\.996, got 1\.0 to|from 0 to 255\.996, got -.* to 1\.0"
-    ):
+    with pytest.raises(InputError, match=r"from 0 to 255\.996, got 1\.0 to|from 0 to 255\.996, got -.* to 1\.0"):
         write_kitti_png(tmp_path / "a.png", [[1.0, value, np.nan]])
     assert not list(tmp_path.iterdir())
 
@@ -78,9 +72,7 @@ def test_scaled(tmp_path, suffix, channels, depth):
         suffix = ".ppm"
     samples = np.array([[0, 10, 255]], depth)
     path = tmp_path / f"a{suffix}"
-    write_samples(
-        path, np.broadcast_to(samples[..., None], (1, 3, 3)) if channels else samples, overwrite=False
-    )
+    write_samples(path, np.broadcast_to(samples[..., None], (1, 3, 3)) if channels else samples, overwrite=False)
     np.testing.assert_array_equal(read_scaled_png(path, scale=4), [[np.nan, 2.5, 63.75]])
 
 

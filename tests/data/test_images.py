@@ -30,12 +30,7 @@ def chunk(kind, data):
 
 def png(width, height, depth, colour_type, rows):
     header = struct.pack(">IIBBBBB", width, height, depth, colour_type, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", header)
-        + chunk(b"IDAT", zlib.compress(rows))
-        + chunk(b"IEND", b"")
-    )
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
 @given(image=hnp.arrays(np.uint8, SHAPES), suffix=st.sampled_from([".png", ".ppm", ".bmp", ".tif", ".webp"]))
@@ -73,9 +68,7 @@ def test_grey_is_repeated(tmp_path, suffix):
 
 def test_deep_grey(tmp_path):
     (tmp_path / "grey.png").write_bytes(encode(".png", np.array([[0, 13107, 65535]], np.uint16)))
-    np.testing.assert_allclose(
-        read_image(tmp_path / "grey.png"), np.repeat([[[0.0], [0.2], [1.0]]], 3, axis=2)
-    )
+    np.testing.assert_allclose(read_image(tmp_path / "grey.png"), np.repeat([[[0.0], [0.2], [1.0]]], 3, axis=2))
 
 
 def test_alpha_is_dropped(tmp_path):
@@ -101,12 +94,7 @@ def test_pnm_names_its_white(tmp_path, peak, expected):
 def tiff(width, height, tile_width, tile_height):
     sides = {256: width, 257: height, 322: tile_width, 323: tile_height}
     entries = [(tag, 4, 1, side) for tag, side in sides.items()]
-    return (
-        b"II*\0\x08\0\0\0"
-        + struct.pack("<H", 4)
-        + b"".join(struct.pack("<HHII", *e) for e in entries)
-        + bytes(4)
-    )
+    return b"II*\0\x08\0\0\0" + struct.pack("<H", 4) + b"".join(struct.pack("<HHII", *e) for e in entries) + bytes(4)
 
 
 def with_size(data, at, form, *size):
@@ -141,9 +129,7 @@ def test_header_agrees_with_the_decoder(suffix):
 
 
 def test_webp_headers():
-    lossy = cv2.imencode(".webp", np.zeros((30, 40, 3), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 50])[
-        1
-    ].tobytes()
+    lossy = cv2.imencode(".webp", np.zeros((30, 40, 3), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 50])[1].tobytes()
     assert lossy[12:16] == b"VP8 "
     assert read_image_header(lossy).width == 40
     extended = b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0" + bytes([39, 0, 0, 29, 0, 0])

@@ -38,9 +38,7 @@ def zipped(data, name="disparity.npy"):
 
 
 @pytest.mark.parametrize(("read", "write"), READ_WRITE)
-@given(
-    values=hnp.arrays(np.float32, SHAPE, elements=st.floats(width=32, allow_nan=True, allow_infinity=True))
-)
+@given(values=hnp.arrays(np.float32, SHAPE, elements=st.floats(width=32, allow_nan=True, allow_infinity=True)))
 def test_round_trip(tmp_path_factory, read, write, values):
     path = tmp_path_factory.getbasetemp() / "a"
     write(path, values, overwrite=True)
@@ -48,9 +46,7 @@ def test_round_trip(tmp_path_factory, read, write, values):
 
 
 @given(
-    values=hnp.arrays(
-        st.sampled_from(["<f8", ">f4", "<f2", "u1", "<i4", ">u2"]), SHAPE, elements=st.integers(0, 200)
-    ),
+    values=hnp.arrays(st.sampled_from(["<f8", ">f4", "<f2", "u1", "<i4", ">u2"]), SHAPE, elements=st.integers(0, 200)),
     fortran=st.booleans(),
     version=st.sampled_from([(1, 0), (2, 0), (3, 0)]),
 )

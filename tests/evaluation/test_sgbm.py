@@ -1,3 +1,6 @@
+from types import SimpleNamespace
+
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -41,10 +44,18 @@ def test_the_whole_search_range_is_searched_and_no_more():
     assert not (np.abs(narrow - 30) < 2).any()
 
 
-def test_eight_paths_are_not_five():
-    left, right = np.random.default_rng(0).integers(0, 256, (2, 60, 200, 3), dtype=np.uint8)
-    eight, five = (SGBM_VARIANTS[name](left, right) for name in ("sgbm", "sgbm_5paths"))
-    assert (eight != five).mean() > 0.1
+@pytest.mark.parametrize(
+    ("paths", "mode"), [(8, cv2.STEREO_SGBM_MODE_HH), (5, cv2.STEREO_SGBM_MODE_SGBM)], ids=["8", "5"]
+)
+def test_paths_and_penalties_reach_opencv(monkeypatch, paths, mode):
+    create, given_to = cv2.StereoSGBM.create, []
+    recorder = SimpleNamespace(create=lambda **arguments: given_to.append(arguments) or create(**arguments))
+    monkeypatch.setattr(cv2, "StereoSGBM", recorder)
+    SemiGlobalMatcher(paths=paths, search_range=20, block_size=5)(*shifted(5))
+    [arguments] = given_to
+    assert arguments["mode"] == mode
+    assert (arguments["numDisparities"], arguments["blockSize"]) == (32, 5)
+    assert (arguments["P1"], arguments["P2"]) == (8 * 3 * 25, 32 * 3 * 25)
 
 
 def test_images_of_either_depth_give_the_same():

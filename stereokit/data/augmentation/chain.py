@@ -58,9 +58,7 @@ class Augmentation:
             raise InputError(f"Augmentation: can't crop to {self.crop_width} x {self.crop_height} pixels")
         for name in ("flip", "colour", "colour_apart", "occlusion"):
             if not 0 <= getattr(self, name) <= 1:
-                raise InputError(
-                    f"Augmentation: {name} is a probability from 0 to 1, got {getattr(self, name)}"
-                )
+                raise InputError(f"Augmentation: {name} is a probability from 0 to 1, got {getattr(self, name)}")
 
     def __call__(self, sample: StereoSample, rng: np.random.Generator) -> StereoSample:
         """The changed pair, of the size of the crop."""

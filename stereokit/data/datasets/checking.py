@@ -122,9 +122,7 @@ def format_report(report: DatasetReport, *, most: int = 20) -> str:
         lines.append(f"  disparity         {report.lowest:.2f} to {report.highest:.2f} pixels")
     if report.density is not None and report.sparsest is not None:
         name, density = report.sparsest
-        lines.append(
-            f"  known disparity   {report.density:.1%} of the pixels; least in {name} ({density:.1%})"
-        )
+        lines.append(f"  known disparity   {report.density:.1%} of the pixels; least in {name} ({density:.1%})")
     lines.append(f"  broken            {len(report.broken)}")
     lines += [f"    {name}: {message}" for name, message in report.broken[:most]]
     if len(report.broken) > most:

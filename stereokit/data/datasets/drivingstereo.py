@@ -38,9 +38,7 @@ def drivingstereo(root: PathLike, *, split: str = "test", size: str = "half") ->
     if split in _WEATHER:
         left, right, truth = (root / split / f"{part}-{size}-size" for part in _PARTS)
     else:
-        left, right, truth = (
-            _sized(root / f"{split}-{part}", f"{part}-{size}-size", size) for part in _PARTS
-        )
+        left, right, truth = (_sized(root / f"{split}-{part}", f"{part}-{size}-size", size) for part in _PARTS)
     calibrations = first_folder([root / "calib" / f"{size}-image-calib", root / f"{size}-image-calib"])
     read = read_kitti_png if size == "half" else read_drivingstereo_full_png
     entries = [

@@ -40,9 +40,7 @@ def eth3d(root: PathLike, *, split: str = "training") -> StereoDataset:
         for scene in (list_folder(folder) if folder else [])
         if (scene / "im0.png").is_file() or (scene / "im1.png").is_file()
     ]
-    return make_dataset(
-        "eth3d", root, split, entries, expected=[f"two_view_{split}/delivery_area_1l/im0.png"]
-    )
+    return make_dataset("eth3d", root, split, entries, expected=[f"two_view_{split}/delivery_area_1l/im0.png"])
 
 
 def _entry(scene: Path, separate: Path | None) -> StereoEntry:

@@ -62,9 +62,7 @@ def folder(
     """
     root = Path(root)
     check_choice("split", split, ("all",))
-    read = partial(
-        read_disparity, scale=None if scale is None else check_number("scale", scale), encoding=encoding
-    )
+    read = partial(read_disparity, scale=None if scale is None else check_number("scale", scale), encoding=encoding)
     if root.is_file():
         entries = list(_from_list(root, read))
     elif (root / "left").is_dir():
@@ -111,9 +109,7 @@ def _from_list(path: Path, read: Callable[[Path], Disparity]) -> Iterator[Stereo
     try:
         lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise InputError(
-            f"{os.fspath(path)!r} is no list of pairs: it is not UTF-8 text ({error.reason})"
-        ) from error
+        raise InputError(f"{os.fspath(path)!r} is no list of pairs: it is not UTF-8 text ({error.reason})") from error
     for number, line in enumerate(lines, start=1):
         try:
             words = shlex.split(line, comments=True)
@@ -128,9 +124,7 @@ def _from_line(path: Path, number: int, words: list[str], read: Callable[[Path],
     files = [word for word in words if "=" not in word]
     values = dict(word.split("=", 1) for word in words if "=" in word)
     if len(files) not in (2, 3):
-        raise InputError(
-            f"{where}: expected a left image, a right image and perhaps disparity, got {len(files)} files"
-        )
+        raise InputError(f"{where}: expected a left image, a right image and perhaps disparity, got {len(files)} files")
     for key in values:
         if key not in _LINE_KEYS:
             raise InputError(f"{where}: unknown {key!r}; {suggest(key, list(_LINE_KEYS))}")
@@ -138,9 +132,7 @@ def _from_line(path: Path, number: int, words: list[str], read: Callable[[Path],
     if values.keys() & {"scale", "encoding"}:
         scale = check_number(f"{where}: scale", values["scale"]) if "scale" in values else None
         read = partial(read_disparity, scale=scale, encoding=values.get("encoding"))
-    nonocc, calibration = (
-        path.parent / values[key] if key in values else None for key in ("nonocc", "calibration")
-    )
+    nonocc, calibration = (path.parent / values[key] if key in values else None for key in ("nonocc", "calibration"))
     return StereoEntry(
         name=values.get("name", Path(files[0]).with_suffix("").as_posix()),
         left=left,

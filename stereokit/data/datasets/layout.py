@@ -83,9 +83,7 @@ def make_dataset(
         )
     name, count = Counter(entry.name for entry in entries).most_common(1)[0]
     if count > 1:
-        raise InputError(
-            f"{count} pairs of {kind} in {os.fspath(root)!r} have the name {name!r}; expected one"
-        )
+        raise InputError(f"{count} pairs of {kind} in {os.fspath(root)!r} have the name {name!r}; expected one")
     return StereoDataset(kind, root, split, entries)
 
 

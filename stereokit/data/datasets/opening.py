@@ -9,9 +9,7 @@ from stereokit.errors import InputError
 __all__ = ["open_dataset"]
 
 
-def open_dataset(
-    spec: str, *, split: str | None = None, allow_missing: bool = False, **options: Any
-) -> StereoDataset:
+def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = False, **options: Any) -> StereoDataset:
     """Opens a data set that lies on disk.
 
     Args:

@@ -25,9 +25,7 @@ def test_half_size_as_distributed(tmp_path):
     trees.assert_pair(sample)
     trees.assert_truth(sample)
     assert sample.calibration.baseline == pytest.approx(0.5)
-    with pytest.raises(
-        InputError, match="expected test-left-image/left-image-full-size/; found calib/, test-"
-    ):
+    with pytest.raises(InputError, match="expected test-left-image/left-image-full-size/; found calib/, test-"):
         drivingstereo(tmp_path, size="full")
 
 

@@ -25,9 +25,7 @@ def test_layouts(tmp_path, images, truth):
     for seed, name in enumerate(("delivery_area_1l", "terrains_2s")):
         scene(tmp_path / images / name, seed)
         trees.save(tmp_path / truth / name / "disp0GT.pfm", trees.DISPARITY)
-        trees.save(
-            tmp_path / truth / name / "mask0nocc.png", np.where(trees.KNOWN, 255, 128).astype(np.uint8)
-        )
+        trees.save(tmp_path / truth / name / "mask0nocc.png", np.where(trees.KNOWN, 255, 128).astype(np.uint8))
     dataset = eth3d(tmp_path)
     assert [sample.name for sample in dataset] == ["delivery_area_1l", "terrains_2s"]
     trees.assert_pair(dataset[1], 1)
@@ -47,9 +45,7 @@ def test_test_part(tmp_path):
     scene(tmp_path / "two_view_test" / "lakeside_1l")
     (sample,) = eth3d(tmp_path, split="test")
     assert sample.disparity is None
-    with pytest.raises(
-        InputError, match=r"expected two_view_training/delivery_area_1l/im0\.png; found two_view_test/"
-    ):
+    with pytest.raises(InputError, match=r"expected two_view_training/delivery_area_1l/im0\.png; found two_view_test/"):
         eth3d(tmp_path)
 
 

@@ -116,9 +116,7 @@ def test_a_picture_is_no_list(tmp_path):
 
 
 def test_other_trees(tmp_path):
-    with pytest.raises(
-        InputError, match=r"expected left/\*\.png and right/\*\.png or .*; found an empty folder"
-    ):
+    with pytest.raises(InputError, match=r"expected left/\*\.png and right/\*\.png or .*; found an empty folder"):
         folder(tmp_path)
     with pytest.raises(InputError, match="unknown split 'train'; expected one of all"):
         folder(tmp_path, split="train")

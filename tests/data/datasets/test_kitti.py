@@ -66,10 +66,7 @@ def test_the_object_map_is_one_byte(tmp_path):
 
 def test_the_split_is_nine_to_one_and_fixed(tmp_path):
     trees.kitti2015(tmp_path, range(25))
-    names = {
-        split: {entry.name for entry in kitti2015(tmp_path, split=split).entries}
-        for split in ("train", "val")
-    }
+    names = {split: {entry.name for entry in kitti2015(tmp_path, split=split).entries} for split in ("train", "val")}
     assert names["val"] == {"000000_10", "000010_10", "000020_10"}
     assert len(names["train"]) == 22
     assert not names["train"] & names["val"]
@@ -93,9 +90,7 @@ def test_kitti_raw(tmp_path):
     rows = "".join(f"P_rect_0{camera}: {row}\n" for camera, row in trees.KITTI_ROWS.items())
     trees.save(tmp_path / "2011_09_26" / "calib_cam_to_cam.txt", rows)
     dataset = kitti_raw(tmp_path)
-    assert [entry.name for entry in dataset.entries] == [
-        f"{drive.name}/000000000{number}" for number in range(2)
-    ]
+    assert [entry.name for entry in dataset.entries] == [f"{drive.name}/000000000{number}" for number in range(2)]
     trees.assert_pair(dataset[1], 1)
     assert dataset[0].disparity is None
     assert dataset[0].calibration.baseline == pytest.approx(0.6)
@@ -109,9 +104,7 @@ def test_other_trees_and_splits(tmp_path):
         kitti2012(tmp_path, split="train")
     with pytest.raises(InputError, match="found nothing, it does not exist"):
         kitti2015(tmp_path / "absent")
-    with pytest.raises(
-        InputError, match="unknown split 'test'; expected one of training, train, val, testing"
-    ):
+    with pytest.raises(InputError, match="unknown split 'test'; expected one of training, train, val, testing"):
         kitti2015(tmp_path, split="test")
     with pytest.raises(InputError, match="unknown views 'infrared'"):
         kitti2012(tmp_path, views="infrared")

@@ -53,9 +53,7 @@ def test_files_that_are_missing(tmp_path, part):
     trees.kitti2012(tmp_path)
     name = "000001.txt" if part == "calib" else "000001_10.png"
     (tmp_path / "training" / part / name).unlink()
-    with pytest.raises(
-        InputError, match=rf"is not whole: 1 of its files are missing, .* 'training/{part}/{name}'"
-    ):
+    with pytest.raises(InputError, match=rf"is not whole: 1 of its files are missing, .* 'training/{part}/{name}'"):
         open_dataset(f"kitti2012:{tmp_path}")
     assert len(open_dataset(f"kitti2012:{tmp_path}", allow_missing=True)) == 2
 

@@ -11,16 +11,12 @@ def tree(tmp_path):
     training = tmp_path / "training"
     for seed, image_pass in enumerate(("clean", "final")):
         for frame in ("frame_0001", "frame_0002"):
-            left, right = (
-                training / f"{image_pass}_{view}" / "alley_1" / f"{frame}.png" for view in ("left", "right")
-            )
+            left, right = (training / f"{image_pass}_{view}" / "alley_1" / f"{frame}.png" for view in ("left", "right"))
             trees.save_pair(left, right, seed)
     values = np.linspace(0.25, 600, 54).reshape(6, 9)
     channels = [values // 4, values * 64 % 256, values * 2**14 % 256]
     for frame in ("frame_0001", "frame_0002"):
-        trees.save(
-            training / "disparities" / "alley_1" / f"{frame}.png", np.stack(channels, -1).astype(np.uint8)
-        )
+        trees.save(training / "disparities" / "alley_1" / f"{frame}.png", np.stack(channels, -1).astype(np.uint8))
         for part, column in (("occlusions", 2), ("outofframe", 0)):
             mask = np.zeros((6, 9), np.uint8)
             mask[:, column] = 1 if part == "occlusions" else 255

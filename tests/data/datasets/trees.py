@@ -85,7 +85,5 @@ def kitti2015(root, numbers=range(2)):
         save(training / "disp_occ_0" / name, stored(256))
         save(training / "disp_noc_0" / name, stored(256))
         save(training / "obj_map" / name, np.arange(54, dtype=np.uint8).reshape(SHAPE))
-        rows = "".join(
-            f"S_rect_0{camera}: 9 6\nP_rect_0{camera}: {row}\n" for camera, row in KITTI_ROWS.items()
-        )
+        rows = "".join(f"S_rect_0{camera}: 9 6\nP_rect_0{camera}: {row}\n" for camera, row in KITTI_ROWS.items())
         save(training / "calib_cam_to_cam" / f"{number:06d}.txt", rows)
