@@ -17,7 +17,7 @@ from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKit
 from stereokit.evaluation import command as evaluation_command
 from stereokit.inference import Predictor, check_free, output_paths
 from stereokit.model import StereoModel
-from stereokit.published import NETWORKS, ChannelOrder, convert_published
+from stereokit.published import NETWORKS, ConversionReport, convert_published
 from stereokit.registry import REGISTRIES, list_components
 from stereokit.summary import model_summary
 
@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("right", help="right image, folder, or quoted pattern")
     predict.add_argument("--model", help="name of the network that the weights are for (default: coex)")
     predict.add_argument("--weights", help="folder of a saved network, or published checkpoint")
-    _add_channel_order(predict)
+    _add_published_options(predict)
     predict.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     predict.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
     predict.add_argument("--overwrite", action="store_true", help="replace existing results")
@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
 
     evaluation = commands.add_parser("eval", help="count errors on data sets with ground truth")
     evaluation_command.add_arguments(evaluation)
-    _add_channel_order(evaluation)
+    _add_published_options(evaluation)
     evaluation.set_defaults(run=lambda options: evaluation_command.run(options, _load_network))
 
     data = commands.add_parser("data", help="look at a data set on disk")
@@ -104,19 +104,20 @@ def _parser() -> argparse.ArgumentParser:
     convert.add_argument("checkpoint", help="Lightning checkpoint or bare state dict")
     convert.add_argument("out", help="folder for the network")
     convert.add_argument("--model", default="coex", help=f"{' or '.join(NETWORKS)} (default: %(default)s)")
-    _add_channel_order(convert)
-    convert.add_argument("--top-k", type=int, help="candidates kept by the regression, which weights can't tell")
+    _add_published_options(convert)
     convert.add_argument("--overwrite", action="store_true", help="replace an existing network")
     convert.set_defaults(run=_convert)
     return parser
 
 
-def _add_channel_order(parser: argparse.ArgumentParser) -> None:
+def _add_published_options(parser: argparse.ArgumentParser) -> None:
+    """What the weights of a published checkpoint can't tell."""
     parser.add_argument(
         "--channel-order",
         choices=("bgr", "rgb"),
         help="of the images that a published checkpoint was trained on (default: bgr, as the authors')",
     )
+    parser.add_argument("--top-k", type=int, metavar="K", help="candidates that its regression keeps (default: coex 2)")
 
 
 def _predict(options: argparse.Namespace) -> None:
@@ -165,16 +166,25 @@ def _load_network(options: argparse.Namespace) -> StereoModel:
     if not os.path.exists(options.weights):
         raise CheckpointError(f"the weights {options.weights!r} do not exist")
     if os.path.isdir(options.weights):
+        if options.channel_order is not None or options.top_k is not None:
+            raise ConfigError(
+                "--channel-order and --top-k are for published checkpoints; a saved network knows its own"
+            )
         model = StereoModel.from_pretrained(options.weights)
         name = model.config["name"]
         if options.model not in (None, name):
             raise CheckpointError(f"{options.weights!r} holds a {name}, not a {options.model}; leave out --model")
         return model
-    order: ChannelOrder = options.channel_order or "bgr"
-    model, report = convert_published(options.weights, options.model or "coex", order)
+    model, report = _read_published(options, options.weights, options.model or "coex")
+    order = (options.channel_order or "bgr").upper()
     said = "" if options.channel_order else ", as the authors' are (--channel-order rgb if these are not)"
-    print(f"{options.weights}: {report.loaded} tensors, taken to be trained on {order.upper()} images{said}")
+    print(f"{options.weights}: {report.loaded} tensors, taken to be trained on {order} images{said}")
     return model
+
+
+def _read_published(options: argparse.Namespace, path: str, network: str) -> tuple[StereoModel, ConversionReport]:
+    overrides = {} if options.top_k is None else {"top_k": options.top_k}
+    return convert_published(path, network, options.channel_order or "bgr", **overrides)
 
 
 def _list(options: argparse.Namespace) -> None:
@@ -210,8 +220,7 @@ def _info(options: argparse.Namespace) -> None:
 
 def _convert(options: argparse.Namespace) -> None:
     check_free([Path(options.out) / "config.json"], overwrite=options.overwrite)
-    overrides = {} if options.top_k is None else {"top_k": options.top_k}
-    order: ChannelOrder = options.channel_order or "bgr"
-    model, report = convert_published(options.checkpoint, options.model, order, **overrides)
+    model, report = _read_published(options, options.checkpoint, options.model)
     model.save_pretrained(options.out)
-    print(f"{report}\nwrote {options.out} (from {order.upper()}; regression {model.config['regression']})")
+    order = (options.channel_order or "bgr").upper()
+    print(f"{report}\nwrote {options.out} (from {order}; regression {model.config['regression']})")

@@ -117,6 +117,7 @@ def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images
         (("left/a.png", "right/a.png", "--device", "tpu"), "'auto' or 'cpu' would do"),
         (("left/a.png", "right/a.png", "--model", "psmnet", "--weights", "SAVED"), "holds a coex, not a psmnet"),
         (("left/a.png", "right/a.png", "--weights", "nowhere"), "'nowhere' do not exist"),
+        (("left/a.png", "right/a.png", "--top-k", "3", "--weights", "SAVED"), "are for published checkpoints"),
         (("left/a.png", "right/a.png", "--weights", "left/a.png"), "a.png"),
         (("left/a.png", "left/b.png", "right/a.png"), "in quotes"),
         (("left/a.png",), "right"),

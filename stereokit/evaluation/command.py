@@ -31,7 +31,7 @@ LoadNetwork = Callable[[argparse.Namespace], StereoModel]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `stereokit eval`, less `--channel-order`, which all commands that load weights share."""
+    """The options of `stereokit eval`, less those of published checkpoints, which several commands share."""
     parser.add_argument(
         "--model",
         help=f"a network ({', '.join(list_models())}); OpenCV's semi-global matcher with 8 paths (sgbm) or 5 "
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
 
     Args:
         options: of `add_arguments`, and `arguments`, the command line that they were parsed from, for the record.
-        load_network: gives the network that the options `model`, `weights` and `channel_order` name.
+        load_network: gives the network that the options `model`, `weights`, `channel_order` and `top_k` name.
 
     Raises:
         StereoKitError: options or data that can't be used; then no result is written.
@@ -125,7 +125,7 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
 def _matcher(options: argparse.Namespace, load_network: LoadNetwork) -> Matcher:
     name = options.model or "coex"
     if name in SGBM_VARIANTS or ":" in name:
-        _refuse(name, options, "weights", "channel_order")
+        _refuse(name, options, "weights", "channel_order", "top_k")
         if options.device not in ("auto", "cpu"):
             raise ConfigError(f"--model {name} does not run on a device of torch; leave out --device {options.device}")
     if ":" in name:
