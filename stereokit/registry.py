@@ -110,8 +110,8 @@ class Registry:
         return sorted(fnmatch.filter(self._factories, pattern))
 
     def __contains__(self, name: object) -> bool:
-        if name not in self._factories:
-            _load_plugins()
+        # a plugin may replace a component of ours, so it is loaded even where the name is known
+        _load_plugins()
         return name in self._factories
 
     def build(self, name: str, arguments: Mapping[str, Any], offered: Mapping[str, Any] | None = None) -> Any:
