@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias, TypedDict, cast
 from torch import nn
 
 from stereokit.backbones.encoder import is_timm_model
-from stereokit.contracts import FeatureInfo, GuidanceFactory, check_interface, check_max_disparity
+from stereokit.contracts import FeatureInfo, GuidanceFactory, check_interface
 from stereokit.errors import ConfigError
 from stereokit.model import StereoModel
 from stereokit.registry import (
@@ -131,8 +131,9 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     backbone = slots["backbone"].build(pretrained=pretrained)
     info: FeatureInfo = backbone.info
     stride, max_disparity = info.matching_stride, choice["max_disparity"]
-    check_max_disparity(max_disparity, stride, f"the features of {slots['backbone']}")
-    cost = slots["cost"].build(in_channels=info.matching_channels, levels=max_disparity // stride)
+    # what max_disparity must be depends on the aggregation too: the contracts refuse it once all blocks are there
+    levels = max(1, max_disparity // stride) if isinstance(max_disparity, int) else 1
+    cost = slots["cost"].build(in_channels=info.matching_channels, levels=levels)
     aggregation = slots["aggregation"].build(
         in_channels=cost.out_channels,
         stride=stride,
