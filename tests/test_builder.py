@@ -1,0 +1,390 @@
+import json
+import re
+
+import numpy as np
+import pytest
+import timm
+import torch
+from torch import nn
+
+from stereokit import (
+    GCE,
+    ConfigError,
+    CorrelationVolume,
+    Hourglass,
+    ResidualTower,
+    SoftArgmin,
+    TopKSoftArgmin,
+    UNet,
+    build_model,
+    coex,
+    list_models,
+)
+from stereokit.aggregation.guidance import GuidancePoint, NoGuidance
+from stereokit.models.ablation import ABLATION
+from stereokit.registry import COSTS, MODELS
+from stereokit.regression import BilinearUpsampler, TrilinearUpsampler
+from tests.backbones.test_encoder import ENCODERS
+
+
+def shapes(model):
+    return {key: tuple(value.shape) for key, value in model.state_dict().items()}
+
+
+def run(model, height=32, width=64):
+    """Forward and backward; every output and gradient is finite."""
+    output = model.train()(torch.rand(2, 3, height, width), torch.rand(2, 3, height, width))
+    sum(disparity.sum() for disparity in (output.disparity, *output.auxiliary)).backward()
+    assert output.disparity.shape == (2, height, width)
+    assert output.disparity.isfinite().all()
+    assert all(p.grad.isfinite().all() for p in model.parameters() if p.grad is not None)
+    return output
+
+
+@pytest.mark.parametrize(
+    ("slot", "choice", "kind", "resolved"),
+    [
+        ("backbone", "residual", ResidualTower, {"name": "residual", "channels": 32, "blocks": 8}),
+        (
+            "backbone",
+            {"name": "residual", "blocks": 1},
+            ResidualTower,
+            {"name": "residual", "channels": 32, "blocks": 1},
+        ),
+        ("cost", "correlation", CorrelationVolume, {"name": "correlation", "projection": [48, 48]}),
+        ("cost", {"projection": None}, CorrelationVolume, {"name": "correlation", "projection": None}),
+        ("cost", {"projection": (8, 6)}, CorrelationVolume, {"name": "correlation", "projection": [8, 6]}),
+        ("regression", "soft_argmin", SoftArgmin, {"name": "soft_argmin"}),
+        ("regression", {"k": 5}, TopKSoftArgmin, {"name": "top_k", "k": 5, "test_k": None}),
+        ("regression", {"name": "top_k", "test_k": 3}, TopKSoftArgmin, {"name": "top_k", "k": 2, "test_k": 3}),
+        ("upsampler", "bilinear", BilinearUpsampler, {"name": "bilinear"}),
+        ("upsampler", {"name": "trilinear"}, TrilinearUpsampler, {"name": "trilinear"}),
+        (
+            "aggregation",
+            {"channels": [4, 8, 8, 8]},
+            Hourglass,
+            {"name": "hourglass", "channels": [4, 8, 8, 8]},
+        ),
+    ],
+)
+def test_an_override_is_a_name_or_arguments(slot, choice, kind, resolved):
+    # GC-Net's tower has neither a guide at stride 4 nor one beyond 2; plain upsampling goes with it
+    plain = {"guidance": "none", "upsampler": "bilinear"} if kind is ResidualTower else {}
+    model = build_model("coex", **{**plain, slot: choice})
+    assert isinstance(getattr(model, slot), kind)
+    assert model.config[slot] == resolved
+
+
+@pytest.mark.parametrize(
+    ("slot", "block"),
+    [
+        ("backbone", UNet(encoder="resnet18")),
+        ("cost", CorrelationVolume(in_channels=96, levels=16)),
+        ("aggregation", Hourglass(in_channels=1, channels=(2, 2, 2, 2))),
+        ("regression", SoftArgmin()),
+        ("upsampler", BilinearUpsampler(scale=4)),
+    ],
+)
+def test_an_override_is_an_instance(slot, block):
+    model = build_model("coex", max_disparity=64, **{slot: block})
+    assert getattr(model, slot) is block
+    assert model.config[slot] == {"instance": f"{type(block).__module__}.{type(block).__qualname__}"}
+    run(model)
+
+
+def test_a_guidance_instance_takes_the_one_place():
+    block = GCE(96, 8)
+    model = build_model("coex", max_disparity=64, guidance=block, guidance_at="one")
+    assert model.aggregation.stem_guidance.block is block
+    assert model.config["guidance"] == {"instance": "stereokit.aggregation.guidance.excitation.GCE"}
+    run(model)
+    assert all(p.grad is not None for p in block.parameters())
+
+
+def test_a_guidance_instance_without_channels_is_taken_at_its_word():
+    class Mine(nn.Module):
+        def forward(self, volume, guide):
+            return volume
+
+    run(build_model("coex", max_disparity=64, guidance=Mine(), guidance_at="one"))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"guidance": GCE(96, 8)}, ["GCE", "several places", "guidance_at='one' would do"]),
+        ({"guidance": GCE(95, 8), "guidance_at": "one"}, ["GCE", "guide_channels 95", "has 96"]),
+        ({"guidance": GCE(96, 9), "guidance_at": "one"}, ["GCE", "volume_channels 9", "has 8"]),
+        ({"guidance": "gec"}, ["unknown guidance 'gec'", "'gce'"]),
+        ({"guidance": {"name": "gce", "window": 3}}, ["guidance 'gce' takes no argument 'window'"]),
+        ({"guidance": {"name": "neighborhood", "window": 2}}, ["window=2"]),
+        ({"guidance_at": "none"}, ["guidance_at='none'", "'one' or 'full' would do, or guidance='none'"]),
+        ({"guidance": "none", "guidance_at": "two"}, ["guidance_at='two'"]),
+        ({"cost": "corelation"}, ["unknown cost 'corelation'", "'correlation'"]),
+        ({"cost": {"projektion": [8, 8]}}, ["cost 'correlation' takes no argument 'projektion'", "'projection'"]),
+        ({"cost": {"projection": [8]}}, ["cost 'correlation' can't be built with projection=[8]"]),
+        ({"cost": {"name": 5}}, ["the name of a cost is a string, not 5"]),
+        ({"cost": {"name": ["correlation"]}}, ["the name of a cost is a string"]),
+        ({"cost": 5}, ["cost=5: expected a component's name, a dict", "or a module"]),
+        ({"cost": None}, ["cost=None: expected a component's name"]),
+        ({"cost": nn.Identity()}, ["cost Identity lacks in_channels, out_channels, levels"]),
+        (
+            {"cost": CorrelationVolume(in_channels=97, levels=48)},
+            ["backbone UNet", "cost CorrelationVolume", "96", "97"],
+        ),
+        ({"cost": CorrelationVolume(in_channels=96, levels=47)}, ["backbone UNet", "CorrelationVolume", "47", "48"]),
+        ({"cost": {"projection": (8, np.int64(8))}}, ["plain JSON", "int64"]),
+        ({"aggregation": Hourglass(in_channels=2)}, ["cost CorrelationVolume", "aggregation Hourglass", "1", "2"]),
+        ({"aggregation": {"channels": [8, 16]}}, ["aggregation 'hourglass' can't be built with channels=[8, 16]"]),
+        ({"upsampler": BilinearUpsampler(scale=8)}, ["aggregation Hourglass", "upsampler BilinearUpsampler", "4", "8"]),
+        ({"upsampler": "none"}, ["aggregation Hourglass", "upsampler NoUpsampler", "4", "1"]),
+        ({"regression": nn.Identity()}, ["regression Identity lacks min_levels, confidence"]),
+        ({"backbone": "spatial_pyramidd"}, ["unknown backbone 'spatial_pyramidd'", "'spatial_pyramid'"]),
+        ({"backbone": {"encoder": "resnet81"}}, ["unknown timm model 'resnet81'", "'resnet18'"]),
+        ({"backbone": "vit_tiny_patch16_224"}, ["no features at stride 4, 8, 32"]),
+        ({"top_k": 0}, ["k=0", "whole number"]),
+        ({"top_k": 49}, ["TopKSoftArgmin", "Hourglass", "49", "48", "k from 1 to 48 would do"]),
+        ({"regression": {"test_k": 49}}, ["TopKSoftArgmin", "49", "k from 1 to 48 would do"]),
+        ({"top_k": 2, "regression": "soft_argmin"}, ["one of top_k and regression"]),
+        ({"max_disparity": 100}, ["100", "multiple of 32", "UNet", "Hourglass", "96 or 128 would do"]),
+        ({"max_disparity": 30}, ["30", "multiple of 32", "; 32 would do"]),
+        ({"max_disparity": 2}, ["2", "multiple of 32", "; 32 would do"]),
+        ({"max_disparity": 0}, ["max_disparity 0", "; 32 would do"]),
+        ({"max_disparity": -64}, ["max_disparity -64", "; 32 would do"]),
+        ({"max_disparity": True}, ["whole number of pixels, not True"]),
+        ({"max_disparity": "192"}, ["whole number of pixels, not '192'"]),
+        ({"max_disparity": 192.0}, ["whole number of pixels, not 192.0"]),
+        ({"padding": "reflect"}, ["padding='reflect'", "'replicate' or 'zeros' would do"]),
+        ({"mean": [0.5]}, ["mean is three numbers", "[0.5]"]),
+        ({"std": [1, 1, 0]}, ["std is three positive numbers", "[1, 1, 0]"]),
+        ({"std": "abc"}, ["std is three positive numbers", "'abc'"]),
+        ({"backbones": "unet"}, ["model 'coex' takes no argument 'backbones'", "did you mean 'backbone'"]),
+        ({"name": "psmnet"}, ["model 'coex' takes no argument 'name'"]),
+        ({"pretrained_backbone": True, "backbone": UNet()}, ["UNet", "passed in as a module", "pretrained_backbone"]),
+        ({"pretrained_backbone": True, "backbone": "spatial_pyramid"}, ["'spatial_pyramid' has no pretrained weights"]),
+    ],
+)
+def test_what_does_not_fit_is_named(overrides, words):
+    with pytest.raises(ConfigError) as error:
+        build_model("coex", **overrides)
+    for word in words:
+        assert word in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_unknown_models_are_answered_with_near_ones():
+    with pytest.raises(ConfigError, match=r"unknown model 'psmnett'; did you mean 'psmnet'"):
+        build_model("psmnett")
+    for configuration in ({}, {"name": None}, {"cost": "correlation"}):
+        with pytest.raises(ConfigError, match=r"the name of its model, one of .*coex, gcnet, psmnet"):
+            build_model(configuration)
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+def test_any_pyramid_of_timm_is_a_backbone(encoder):
+    model = build_model("coex", backbone=encoder, max_disparity=64)
+    assert model.config["backbone"] == {"name": "unet", "encoder": encoder, "stem_channels": [32, 48]}
+    run(model)
+
+
+def test_a_timm_backbone_takes_arguments_of_the_unet():
+    model = build_model("coex", backbone={"name": "resnet18", "stem_channels": [8, 12]})
+    assert model.backbone.info.guide_channels[2] == 8
+    assert model.config["backbone"] == {"name": "unet", "encoder": "resnet18", "stem_channels": [8, 12]}
+
+
+@pytest.mark.parametrize("pretrained", [False, True])
+def test_pretrained_backbone_passes_to_timm(monkeypatch, pretrained):
+    asked = []
+    create = timm.create_model
+
+    def spy(name, *, pretrained=False, **arguments):
+        asked.append(pretrained)
+        return create(name, **arguments)
+
+    monkeypatch.setattr(timm, "create_model", spy)
+    model = build_model("coex", pretrained_backbone=pretrained)
+    explicit = build_model("coex", backbone={"pretrained": pretrained})
+    assert asked == [pretrained, pretrained]
+    # the weights at the start are no part of the network: rebuilding it must not fetch them
+    assert "pretrained" not in json.dumps([model.config, explicit.config])
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("gcnet", {"guidance": "gce", "guidance_at": "one"}),
+        ("gcnet", {"guidance": "gce", "guidance_at": "full", "top_k": 4}),
+        ("gcnet", {"guidance": "neighborhood"}),
+        ("gcnet", {"cost": "correlation"}),
+        ("gcnet", {"backbone": "spatial_pyramid", "upsampler": "superpixel"}),
+        ("gcnet", {"backbone": "mobilenetv2_100", "upsampler": "trilinear"}),
+        ("psmnet", {"upsampler": "superpixel"}),
+        ("psmnet", {"upsampler": "superpixel", "guidance": "gce", "guidance_at": "full", "top_k": 2}),
+        ("psmnet", {"upsampler": "bilinear", "cost": "correlation"}),
+        ("psmnet", {"aggregation": "hourglass", "cost": "correlation", "guidance": "addition", "guidance_at": "full"}),
+        ("psmnet", {"backbone": "resnet18"}),
+        ("psmnet", {"aggregation": "encoder_decoder"}),
+        ("coex", {"cost": "concatenation"}),
+        ("coex", {"cost": "groupwise_correlation"}),
+        ("coex", {"cost": {"name": "groupwise_correlation", "groups": 4, "normalise": True}}),
+        ("coex", {"aggregation": "encoder_decoder", "upsampler": "trilinear"}),
+        ("coex", {"aggregation": "encoder_decoder", "guidance_at": "full", "upsampler": "superpixel"}),
+        ("coex", {"aggregation": "stacked_hourglass", "upsampler": "trilinear", "top_k": 64}),
+        ("coex", {"backbone": "spatial_pyramid"}),
+        ("coex", {"backbone": "residual", "guidance_at": "full"}),
+        ("coex", {"guidance": {"name": "neighborhood", "window": 5}, "guidance_at": "one"}),
+        ("coex", {"upsampler": {"padding": "zeros"}, "padding": "zeros"}),
+    ],
+)
+def test_crossings_train_and_rebuild(name, overrides):
+    model = build_model(name, max_disparity=64, **overrides)
+    run(model)
+    twin = build_model(json.loads(json.dumps(model.config)))
+    assert twin.config == model.config
+    assert shapes(twin) == shapes(model)
+
+
+def test_auxiliary_outputs_have_weights_wherever_they_come_from():
+    for overrides, weights in (
+        ({}, (0.5, 0.7)),
+        ({"upsampler": "superpixel"}, (0.5, 0.7, 0.3)),
+        ({"aggregation": "hourglass", "upsampler": "bilinear"}, ()),
+        ({"aggregation": "hourglass", "upsampler": "superpixel"}, (0.3,)),
+    ):
+        model = build_model("psmnet", max_disparity=32, **overrides)
+        assert model.auxiliary_weights == weights
+        assert len(run(model).auxiliary) == len(weights)
+
+
+@pytest.mark.parametrize("max_disparity", [32, 64, 96, 128, 256, 320])
+@pytest.mark.parametrize("name", list_models())
+def test_other_ranges_of_disparity_rebuild(name, max_disparity):
+    model = build_model(name, max_disparity=max_disparity)
+    assert model.cost.levels * model.backbone.info.matching_stride == max_disparity
+    assert build_model(model.config).max_disparity == max_disparity
+
+
+@pytest.mark.parametrize(("name", "step"), [("coex", 32), ("psmnet", 16), ("gcnet", 32)])
+def test_ranges_that_would_do_are_offered_and_do(name, step):
+    for wrong in (10 * step + 1, 10 * step + step // 2, 11 * step - 1):
+        with pytest.raises(ConfigError) as error:
+            build_model(name, max_disparity=wrong)
+        offers = [int(d) for d in re.findall(r"\d+", str(error.value).split(";")[1])]
+        assert offers == [10 * step, 11 * step]
+    assert [build_model(name, max_disparity=offer).max_disparity for offer in offers] == offers
+
+
+@pytest.mark.parametrize("row", ABLATION, ids=str)
+def test_the_configuration_of_every_ablation_row_rebuilds_it(row):
+    model = build_model(row.model, **row.overrides)
+    twin = build_model(json.loads(json.dumps(model.config)))
+    assert twin.config == model.config
+    assert shapes(twin) == shapes(model)
+
+
+@pytest.mark.parametrize("name", list_models())
+def test_configurations_are_plain_and_complete(name):
+    config = build_model(name).config
+    assert json.loads(json.dumps(config)) == config
+    assert set(config) == {
+        *("name", "backbone", "cost", "guidance", "guidance_at", "aggregation", "regression", "upsampler"),
+        *("max_disparity", "mean", "std", "padding"),
+    }
+
+
+def test_a_configuration_takes_overrides():
+    config = build_model("coex", cost="concatenation", backbone="resnet18").config
+    model = build_model(config, top_k=3, max_disparity=96)
+    assert model.config == {
+        **config,
+        "regression": {"name": "top_k", "k": 3, "test_k": None},
+        "max_disparity": 96,
+    }
+    assert build_model(config, regression="soft_argmin").config["regression"] == {"name": "soft_argmin"}
+
+
+def test_a_configuration_is_left_as_it_is():
+    config = build_model("coex").config
+    before = json.dumps(config)
+    build_model(config, top_k=3, cost={"projection": [8, 8]})
+    assert json.dumps(config) == before
+    model = build_model(config)
+    model.config["cost"]["projection"] = None
+    assert build_model("coex").config == config
+
+
+def test_a_configuration_with_an_instance_says_what_to_do():
+    config = build_model("coex", regression=TopKSoftArgmin(3)).config
+    with pytest.raises(ConfigError, match=r"TopKSoftArgmin that was passed in as a module.*regression=\.\."):
+        build_model(config)
+    assert build_model(config, regression=SoftArgmin()).config["regression"]["instance"].endswith("SoftArgmin")
+
+
+def test_preprocessing_is_an_override():
+    model = build_model("coex", mean=[0, 0, 0], std=(1, 1, 1), padding="zeros")
+    assert model.mean.dtype == model.std.dtype == torch.float32
+    assert model.mean.shape == (3, 1, 1)
+    assert (model.config["mean"], model.config["std"], model.config["padding"]) == ([0, 0, 0], [1, 1, 1], "zeros")
+    assert build_model(model.config).config == model.config
+
+
+def test_recipes_are_functions():
+    assert coex(top_k=3).config == build_model("coex", top_k=3).config
+    assert coex.__name__ == "coex"
+
+
+def test_no_guidance_leaves_no_weights():
+    model = build_model("coex", guidance="none", guidance_at="full")
+    points = [m for m in model.modules() if isinstance(m, GuidancePoint)]
+    assert points
+    assert all(isinstance(point.block, NoGuidance) for point in points)
+    assert model.aggregation.guide_channels == {}
+
+
+@pytest.fixture
+def registered(monkeypatch):
+    """Registries that forget what a test adds."""
+    for registry in (COSTS, MODELS):
+        monkeypatch.setattr(registry, "_factories", dict(registry._factories))
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_new_component_fills_its_slot():
+    @COSTS.register("difference")
+    class Difference(nn.Module):
+        def __init__(self, *, in_channels, levels, gain=2.0):
+            super().__init__()
+            self.in_channels, self.out_channels, self.levels = in_channels, in_channels, levels
+            self.gain = gain
+
+        def forward(self, left, right):
+            shifted = [right.roll(d, -1) for d in range(self.levels)]
+            return self.gain * (left.unsqueeze(2) - torch.stack(shifted, 2)).abs()
+
+    model = build_model("coex", max_disparity=64, cost="difference")
+    run(model)
+    assert model.config["cost"] == {"name": "difference", "gain": 2.0}
+    assert build_model(model.config, cost={"name": "difference", "gain": 1.0}).cost.gain == 1
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_component_without_the_attributes_of_its_slot_is_refused():
+    @COSTS.register("bare")
+    class Bare(nn.Module):
+        def __init__(self, *, in_channels):
+            super().__init__()
+            self.in_channels = in_channels
+
+    with pytest.raises(ConfigError, match="cost Bare lacks out_channels, levels"):
+        build_model("coex", cost="bare")
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_model_may_be_anything():
+    @MODELS.register("constant")
+    def constant(value=1.0):
+        return value
+
+    assert build_model("constant", value=3.0) == 3
+    assert build_model({"name": "constant", "value": 2.0}) == 2

@@ -1,0 +1,139 @@
+import re
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from stereokit import ConfigError
+from stereokit.contracts import (
+    FeatureInfo,
+    check_contracts,
+    check_interface,
+    check_max_disparity,
+    input_multiple,
+    regression_levels,
+)
+
+INFO = FeatureInfo(matching_channels=32, matching_stride=4, guide_channels={2: 8, 4: 32})
+
+
+def block(kind, **attributes):
+    """A block of a given class name, with these attributes."""
+    return type(kind, (SimpleNamespace,), {})(**attributes)
+
+
+def blocks(**changes):
+    """A network that fits, but for the changes: attributes as slot__attribute."""
+    attributes = {
+        "backbone": {"info": INFO, "multiple": 4},
+        "cost": {"in_channels": 32, "out_channels": 1, "levels": 16},
+        "aggregation": {
+            "in_channels": 1,
+            "guide_channels": {4: 32, 8: 32},
+            "multiple": 4,
+            "upscale": 1,
+            "auxiliary_weights": (),
+        },
+        "regression": {"min_levels": 16, "confidence": None},
+        "upsampler": {"scale": 4, "domain": "disparity", "learned": True, "guide_channels": {2: 8, 4: 32}},
+    }
+    for change, value in changes.items():
+        slot, attribute = change.split("__")
+        attributes[slot][attribute] = value
+    kinds = {"backbone": "Eyes", "cost": "Price", "aggregation": "Sum", "regression": "Choice", "upsampler": "Lens"}
+    return {slot: block(kinds[slot], **given) for slot, given in attributes.items()}
+
+
+def test_what_fits_passes():
+    check_contracts(**blocks(), max_disparity=64)
+    check_contracts(**blocks(upsampler__domain="volume", regression__min_levels=64), max_disparity=64)
+    check_contracts(**blocks(aggregation__upscale=2, upsampler__scale=2, regression__min_levels=32), max_disparity=64)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cost__in_channels": 31}, ["backbone Eyes", "cost Price", "32", "31"]),
+        ({"cost__levels": 24}, ["cost Price", "backbone Eyes", "24", "16"]),
+        ({"aggregation__in_channels": 7}, ["cost Price", "aggregation Sum", "1", "7"]),
+        ({"aggregation__guide_channels": {4: 33}}, ["backbone Eyes", "aggregation Sum", "stride 4", "32", "33"]),
+        ({"aggregation__guide_channels": {32: 16}}, ["backbone Eyes", "aggregation Sum", "stride 32", "32", "16"]),
+        ({"aggregation__guide_channels": {1: 5}}, ["backbone Eyes", "aggregation Sum", "stride 1", "None", "5"]),
+        ({"aggregation__upscale": 3}, ["aggregation Sum", "backbone Eyes", "3", "4"]),
+        ({"aggregation__upscale": 2}, ["aggregation Sum", "upsampler Lens", "2", "4"]),
+        ({"upsampler__scale": 8}, ["aggregation Sum", "upsampler Lens", "4", "8"]),
+        ({"upsampler__guide_channels": {2: 9}}, ["backbone Eyes", "upsampler Lens", "stride 2", "8", "9"]),
+        ({"regression__min_levels": 17}, ["regression Choice", "aggregation Sum", "17", "16", "1 to 16 would do"]),
+        (
+            {"regression__min_levels": 65, "upsampler__domain": "volume"},
+            ["regression Choice", "aggregation Sum", "65", "64", "1 to 64 would do"],
+        ),
+        ({"aggregation__multiple": 5}, ["backbone Eyes", "aggregation Sum", "64", "20", "60 or 80 would do"]),
+    ],
+)
+def test_an_error_names_both_blocks_and_both_numbers(changes, words):
+    with pytest.raises(ConfigError) as error:
+        check_contracts(**blocks(**changes), max_disparity=64)
+    for word in words:
+        assert re.search(rf"\b{word}\b", str(error.value)), word
+
+
+@pytest.mark.parametrize(
+    ("slot", "attribute", "protocol"),
+    [
+        ("backbone", "info", "Backbone"),
+        ("cost", "levels", "Cost"),
+        ("aggregation", "upscale", "Aggregation"),
+        ("regression", "confidence", "Regression"),
+        ("upsampler", "domain", "Upsampler"),
+    ],
+)
+def test_what_a_block_lacks_is_named(slot, attribute, protocol):
+    chosen = blocks()
+    delattr(chosen[slot], attribute)
+    expected = f"{slot} {type(chosen[slot]).__name__} lacks {attribute}; see stereokit.contracts.{protocol}"
+    with pytest.raises(ConfigError, match=re.escape(expected)):
+        check_contracts(**chosen, max_disparity=64)
+    with pytest.raises(ConfigError, match=re.escape(expected)):
+        check_interface(slot, chosen[slot])
+
+
+def test_coarser_guides_are_averaged_from_the_coarsest():
+    assert [INFO.channels_at(s) for s in (1, 2, 4, 8, 12, 32)] == [None, 8, 32, 32, 32, 32]
+    assert INFO.coarsest_guide == 4
+    assert FeatureInfo(1, 3, {3: 7}).channels_at(5) is None
+
+
+@given(st.integers(-100, 2000), st.integers(1, 100))
+def test_max_disparity_is_a_multiple_and_the_error_names_some(max_disparity, multiple):
+    if max_disparity > 0 and max_disparity % multiple == 0:
+        check_max_disparity(max_disparity, multiple, "blocks")
+        return
+    with pytest.raises(ConfigError) as error:
+        check_max_disparity(max_disparity, multiple, "these blocks")
+    message = str(error.value)
+    assert f"max_disparity {max_disparity} is not a positive multiple of {multiple}, which these blocks need" in message
+    offers = [int(d) for d in re.findall(r"\d+", message.split(";")[1])]
+    assert offers
+    for offer in offers:
+        check_max_disparity(offer, multiple, "blocks")
+        assert abs(offer - max(max_disparity, 0)) <= multiple
+
+
+@pytest.mark.parametrize("value", [True, 64.0, "64", None])
+def test_max_disparity_is_a_whole_number(value):
+    with pytest.raises(ConfigError, match="whole number of pixels"):
+        check_max_disparity(value, 4, "blocks")
+
+
+@given(st.sampled_from([1, 2, 4, 8]), st.integers(1, 300))
+def test_levels_reach_the_regression_at_the_stride_of_the_logits(stride, levels):
+    assume(levels % stride == 0)
+    assert regression_levels(levels, stride, block("U", domain="disparity")) == levels // stride
+    assert regression_levels(levels, stride, block("U", domain="volume")) == levels
+
+
+def test_every_stride_divides_the_input():
+    chosen = blocks(backbone__multiple=6, aggregation__multiple=4, aggregation__guide_channels={4: 32, 32: 32})
+    assert input_multiple(chosen["backbone"], chosen["aggregation"]) == 96

@@ -1,0 +1,79 @@
+import os
+import subprocess
+import sys
+
+import pytest
+
+import stereokit
+
+PUBLIC_NAMES = [
+    "GCE",
+    "AdditiveGuidance",
+    "CheckpointError",
+    "ConcatenationVolume",
+    "ConfigError",
+    "CorrelationVolume",
+    "EncoderDecoder",
+    "GroupwiseCorrelationVolume",
+    "Hourglass",
+    "InputError",
+    "NeighborhoodAggregation",
+    "ResidualTower",
+    "SoftArgmin",
+    "SpatialPyramid",
+    "StackedHourglass",
+    "StereoKitError",
+    "StereoModel",
+    "StereoOutput",
+    "SuperpixelUpsampler",
+    "TopKSoftArgmin",
+    "UNet",
+    "__version__",
+    "build_model",
+    "coex",
+    "gcnet",
+    "list_components",
+    "list_models",
+    "load_published",
+    "psmnet",
+]
+
+NOT_CORE = ["lightning", "pytorch_lightning", "matplotlib", "gradio", "onnx", "onnxruntime", "tensorboard", "pandas"]
+COSTLY = ["timm", "torchvision"]
+
+
+def run(program, *options):
+    """What a fresh interpreter prints; it fails where the program does."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    result = subprocess.run([sys.executable, *options, "-c", program], env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    return result.stdout
+
+
+def test_the_public_names_are_frozen():
+    assert sorted(stereokit.__all__) == sorted(PUBLIC_NAMES)
+
+
+@pytest.mark.parametrize("name", PUBLIC_NAMES)
+def test_public_names_are_there(name):
+    assert getattr(stereokit, name) is not None
+
+
+def test_import_warns_of_nothing_and_takes_core_dependencies_only():
+    program = "import sys, stereokit; print(*{name.split('.')[0] for name in sys.modules})"
+    loaded = run(program, "-W", "error").split()
+    assert "torch" in loaded
+    assert set(loaded).isdisjoint(NOT_CORE + COSTLY)
+
+
+def test_nothing_but_core_dependencies_is_needed():
+    """With all else hidden, the main networks are built and run."""
+    program = f"""
+import sys
+sys.modules.update(dict.fromkeys({[*NOT_CORE, "pytest", "hypothesis"]!r}))  # an import of None fails
+import torch, stereokit
+model = stereokit.build_model("coex", max_disparity=64).eval()
+print(tuple(model(torch.rand(1, 3, 32, 64), torch.rand(1, 3, 32, 64)).disparity.shape))
+"""
+    assert run(program) == "(1, 32, 64)\n"
