@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias, TypedDict, cast
 from torch import nn
 
 from stereokit.backbones.encoder import is_timm_model
-from stereokit.contracts import FeatureInfo, GuidanceFactory, check_interface
+from stereokit.contracts import FeatureInfo, GuidanceFactory, check_interface, check_max_disparity
 from stereokit.errors import ConfigError
 from stereokit.model import StereoModel
 from stereokit.registry import (
