@@ -146,7 +146,10 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"top_k": 49}, ["TopKSoftArgmin", "Hourglass", "49", "48", "k from 1 to 48 would do"]),
         ({"regression": {"test_k": 49}}, ["TopKSoftArgmin", "49", "k from 1 to 48 would do"]),
         ({"top_k": 2, "regression": "soft_argmin"}, ["one of top_k and regression"]),
-        ({"max_disparity": 100}, ["100", "multiple of 32", "UNet", "Hourglass", "96 or 128 would do"]),
+        (
+            {"max_disparity": 100},
+            ["100", "multiple of 32", "backbone 'unet'", "aggregation 'hourglass'", "96 or 128 would do"],
+        ),
         ({"max_disparity": 30}, ["30", "multiple of 32", "; 32 would do"]),
         ({"max_disparity": 2}, ["2", "multiple of 32", "; 32 would do"]),
         ({"max_disparity": 0}, ["max_disparity 0", "; 32 would do"]),

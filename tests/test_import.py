@@ -7,17 +7,25 @@ import pytest
 import stereokit
 
 PUBLIC_NAMES = [
-    "GCE",
+    "AGGREGATIONS",
     "AdditiveGuidance",
+    "BACKBONES",
+    "COSTS",
     "CheckpointError",
     "ConcatenationVolume",
     "ConfigError",
     "CorrelationVolume",
+    "DisparityResult",
     "EncoderDecoder",
+    "GCE",
+    "GUIDANCE",
     "GroupwiseCorrelationVolume",
     "Hourglass",
     "InputError",
+    "MODELS",
     "NeighborhoodAggregation",
+    "Predictor",
+    "REGRESSIONS",
     "ResidualTower",
     "SoftArgmin",
     "SpatialPyramid",
@@ -28,6 +36,7 @@ PUBLIC_NAMES = [
     "SuperpixelUpsampler",
     "TopKSoftArgmin",
     "UNet",
+    "UPSAMPLERS",
     "__version__",
     "build_model",
     "coex",
@@ -36,6 +45,7 @@ PUBLIC_NAMES = [
     "list_models",
     "load_published",
     "psmnet",
+    "stereo_loss",
 ]
 
 NOT_CORE = ["lightning", "pytorch_lightning", "matplotlib", "gradio", "onnx", "onnxruntime", "tensorboard", "pandas"]
