@@ -148,7 +148,7 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"top_k": 2, "regression": "soft_argmin"}, ["one of top_k and regression"]),
         (
             {"max_disparity": 100},
-            ["100", "multiple of 32", "backbone 'unet'", "aggregation 'hourglass'", "96 or 128 would do"],
+            ["100", "multiple of 32", "'unet'", "'hourglass'", "96 or 128 would do"],
         ),
         ({"max_disparity": 30}, ["30", "multiple of 32", "; 32 would do"]),
         ({"max_disparity": 2}, ["2", "multiple of 32", "; 32 would do"]),
