@@ -9,7 +9,7 @@ import numpy as np
 from stereokit.data.synthetic.scene import Layer, Scene
 from stereokit.data.synthetic.shapes import Blob, Box, Ellipse, Lattice, Polygon, Shape, Wire
 from stereokit.data.synthetic.surfaces import Surface, Wave
-from stereokit.data.synthetic.textures import Ground, Texture, TextureBank
+from stereokit.data.synthetic.textures import Ground, TextureBank
 from stereokit.errors import ConfigError
 
 __all__ = ["Composition"]
@@ -115,7 +115,8 @@ class Composition:
         half_width, half_height = shape.extent
         kind = rng.choice(3, p=(0.35, 0.35, 0.3)) if not flat else int(rng.random() < 0.3)
         slope = (0.0, 0.0) if kind == 0 else (_normal(rng, 0.12, 0.4), _normal(rng, 0.12, 0.4))
-        bend, reach, waves = (0.0, 0.0), 0.0, ()
+        bend, reach = (0.0, 0.0), 0.0
+        waves: tuple[Wave, ...] = ()
         if kind == 2 and rng.random() < 0.5:
             reach = half_width
             bend = _normal(rng, 0.1, 0.17) / half_width, _normal(rng, 0.1, 0.2) / half_height
@@ -130,7 +131,9 @@ class Composition:
         deep = rng.uniform(0.1, 0.6) * surface.disparity
         half = max(deep / rng.uniform(0.3, 0.7), 8.0) / 2
         side = 1 if rng.random() < 0.5 else -1
-        edge = float(surface.disparity_at(_point(surface.centre[0] + side * shape.half_width), _point(surface.centre[1])).item())
+        edge = float(
+            surface.disparity_at(_point(surface.centre[0] + side * shape.half_width), _point(surface.centre[1])).item()
+        )
         slope = -side * deep / (2 * half)
         centre = surface.centre[0] + side * (shape.half_width + half), surface.centre[1]
         face = Surface(centre, edge - deep / 2, (slope, surface.slope[1]))
@@ -193,7 +196,9 @@ def _street(of: Composition, rng: Generator, bank: TextureBank) -> tuple[Layer, 
         foot = horizon + rng.uniform(0.01, 0.4) * (height - horizon)
         shape = Box(half, (foot + 20 - top) / 2)
         disparity = near * (foot - horizon) / (height - horizon)
-        slope = (np.sign(u - width / 2) * rng.uniform(0, 0.9) * disparity / half, 0.0) if rng.random() < 0.5 else (0.0, 0.0)
+        slope = (
+            (np.sign(u - width / 2) * rng.uniform(0, 0.9) * disparity / half, 0.0) if rng.random() < 0.5 else (0.0, 0.0)
+        )
         slope = (float(np.clip(slope[0], -_STEEPEST_WALL, _STEEPEST_WALL)), 0.0)
         surface = Surface((u, (top + foot + 20) / 2), disparity, slope)
         layers.append(Layer(of.fitted(surface, half + 2, shape.half_height + 2), bank.texture(rng, plain=0.2), shape))
@@ -265,7 +270,9 @@ def _solid_shape(rng: Generator, height: int, width: int) -> Shape:
         return Ellipse(half_width, half_height, turned)
     if kind == 3:
         return Ellipse(half_width, half_height, turned, hole=float(rng.uniform(0.3, 0.9)))
-    lobes = tuple((int(k), float(rng.normal(0, 0.25 / k)), float(rng.uniform(0, 6.3))) for k in rng.choice(np.arange(2, 10), 3))
+    lobes = tuple(
+        (int(k), float(rng.normal(0, 0.25 / k)), float(rng.uniform(0, 6.3))) for k in rng.choice(np.arange(2, 10), 3)
+    )
     return Blob(min(half_width, half_height), lobes)
 
 

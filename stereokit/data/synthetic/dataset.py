@@ -1,6 +1,5 @@
 """Synthetic scenes as a data set that has no files."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from stereokit.errors import ConfigError
 __all__ = ["SyntheticScenes"]
 
 
-class SyntheticScenes(Sequence[StereoSample]):
+class SyntheticScenes:
     """Random scenes of textured surfaces, rendered when they are asked for, with exact ground truth of both views.
 
     Item i is the same whenever and in whatever process it is drawn: it hangs on the seed, i and the settings alone.
@@ -60,26 +59,26 @@ class SyntheticScenes(Sequence[StereoSample]):
     ) -> None:
         if seed < 0 or count < 1 or not 0 <= photometric <= 2:
             raise ConfigError(
-                "synthetic scenes need a seed of at least 0, a count of at least 1 and a photometric strength from 0 to "
-                f"2, got {seed}, {count} and {photometric}"
+                "synthetic scenes need a seed of at least 0, a count of at least 1 and a photometric strength "
+                f"from 0 to 2, got {seed}, {count} and {photometric}"
             )
         self.composition = Composition(
             size=size, max_disparity=max_disparity, disparity_exponent=disparity_exponent, objects=objects, thin=thin
         )
         self.seed = seed
-        self.count = count
+        self._count = count
         self.cameras = Cameras(seed, photometric)
         self.bank = TextureBank(seed, photographs=None if textures is None else Path(textures))
 
     def __len__(self) -> int:
-        return self.count
+        return self._count
 
     def scene(self, index: int) -> Scene:
         """The geometry of item `index`."""
         return self.composition.scene(self._generator(index, 0), self.bank)
 
-    def __getitem__(self, index: int) -> StereoSample:  # type: ignore[override]
-        index = range(self.count)[index]
+    def __getitem__(self, index: int) -> StereoSample:
+        index = range(self._count)[index]
         scene = self.scene(index)
         left, right = render_view(scene, "left"), render_view(scene, "right")
         sample = StereoSample(

@@ -20,6 +20,8 @@ Tile: TypeAlias = npt.NDArray[np.uint8]
 Generator: TypeAlias = np.random.Generator
 
 _FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_COMPLEX, cv2.FONT_HERSHEY_SCRIPT_COMPLEX, cv2.FONT_HERSHEY_DUPLEX)
+# where to draw a mark on a canvas of twice the size so that the tile repeats
+_COPIES = [(dx, dy) for dx in (-2 * TILE, 0, 2 * TILE) for dy in (-2 * TILE, 0, 2 * TILE)]
 _LETTERS = string.ascii_letters + string.digits + "&%?!"
 
 
@@ -40,7 +42,9 @@ def noise(rng: Generator, *, exponent: float, longest: float = TILE, stretch: fl
     squared = down**2 + across**2
     gain = (squared + longest**-2.0) ** (-exponent / 2) * np.exp(-((squared / stretch**2 / 0.3**2) ** 2))
     gain[0, 0] = 0
-    field: Array = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((TILE, TILE))) * gain, (TILE, TILE)).astype(np.float32)
+    field: Array = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((TILE, TILE))) * gain, (TILE, TILE)).astype(
+        np.float32
+    )
     return field / field.std()
 
 
@@ -115,9 +119,11 @@ def _dots(rng: Generator) -> Array:
     canvas = np.full((2 * TILE, 2 * TILE), 128, np.uint8)
     largest = math.exp(rng.uniform(2.0, 4.2))
     for _ in range(int(min(6e5 / largest**2, 1500))):
-        x, y, radius = (*rng.integers(0, 2 * TILE, 2), max(3, int(largest * rng.beta(1.5, 3) * 1.6)))
+        x, y = map(int, rng.integers(0, 2 * TILE, 2))
+        radius = max(3, int(largest * rng.beta(1.5, 3) * 1.6))
         shade, thickness = int(rng.integers(256)), -1 if rng.random() < 0.8 else 3
-        _everywhere(lambda dx, dy: cv2.circle(canvas, (int(x + dx), int(y + dy)), radius, shade, thickness, cv2.LINE_AA))  # noqa: B023
+        for dx, dy in _COPIES:
+            cv2.circle(canvas, (x + dx, y + dy), radius, shade, thickness, cv2.LINE_AA)
     return _halved(canvas) / 60 + rng.uniform(0.0, 0.3) * noise(rng, exponent=1.0)
 
 
@@ -125,20 +131,17 @@ def _strokes(rng: Generator) -> Array:
     canvas = np.full((2 * TILE, 2 * TILE), 128, np.uint8)
     turn, spread = rng.uniform(0, math.pi), rng.uniform(0.05, 2)
     for _ in range(int(rng.integers(150, 700))):
-        x, y = rng.integers(0, 2 * TILE, 2)
+        x, y = map(int, rng.integers(0, 2 * TILE, 2))
         angle, length = turn + spread * rng.standard_normal(), math.exp(rng.uniform(2.5, 5.5))
-        end = x + length * math.cos(angle), y + length * math.sin(angle)
+        end = int(x + length * math.cos(angle)), int(y + length * math.sin(angle))
         shade, width = int(rng.integers(256)), int(rng.integers(2, 9))
-        _everywhere(
-            lambda dx, dy: cv2.line(  # noqa: B023
-                canvas, (int(x + dx), int(y + dy)), (int(end[0] + dx), int(end[1] + dy)), shade, width, cv2.LINE_AA  # noqa: B023
-            )
-        )
+        for dx, dy in _COPIES:
+            cv2.line(canvas, (x + dx, y + dy), (end[0] + dx, end[1] + dy), shade, width, cv2.LINE_AA)
     return _halved(canvas) / 60 + rng.uniform(0.0, 0.3) * noise(rng, exponent=1.0)
 
 
 def _text(rng: Generator) -> Array:
-    """Lines of marks like print. What would cross the border is drawn on both sides of it."""
+    """Lines of marks like print."""
     canvas = np.full((2 * TILE, 2 * TILE), 235, np.uint8)
     lines = int(2 ** rng.integers(3, 6))
     height = 2 * TILE / lines
@@ -151,11 +154,9 @@ def _text(rng: Generator) -> Array:
             word = "".join(rng.choice(list(_LETTERS), int(rng.integers(1, 9))))
             size, y = height / 42, int((line + 0.75) * height)
             (width, _), _ = cv2.getTextSize(word, font, size, 2)
-            _everywhere(
-                lambda dx, dy: cv2.putText(  # noqa: B023
-                    canvas, word, (x + dx, y + dy), font, size, ink, max(2, int(height / 20)), cv2.LINE_AA  # noqa: B023
-                )
-            )
+            thickness = max(2, int(height / 20))
+            for dx, dy in _COPIES:
+                cv2.putText(canvas, word, (x + dx, y + dy), font, size, ink, thickness, cv2.LINE_AA)
             x += width + int(height / 2)
             if x > 2 * TILE:
                 break
@@ -178,20 +179,13 @@ def _cells(rng: Generator) -> Array:
     size = TILE / math.sqrt(count)
     mix = rng.uniform(0, 1)
     field = mix * tone_of[labels[inner, inner]] - (1 - mix) * 1.5 * distance[inner, inner] / size
-    blurred: Array = cv2.GaussianBlur(np.pad(field.astype(np.float32), 4, mode="wrap"), (0, 0), 0.7)[4:-4, 4:-4]
+    padded = np.pad(field.astype(np.float32), 4, mode="wrap")
+    blurred = np.asarray(cv2.GaussianBlur(padded, (0, 0), 0.7), np.float32)[4:-4, 4:-4]
     return blurred + rng.uniform(0.0, 0.1) * noise(rng, exponent=1.0)
 
 
 def _halved(canvas: npt.NDArray[Any]) -> Array:
-    half: Array = cv2.resize(canvas.astype(np.float32), (TILE, TILE), interpolation=cv2.INTER_AREA)
-    return half
-
-
-def _everywhere(draw: Callable[[int, int], object]) -> None:
-    """Draws at every place where the mark shows on a tile of twice the size that repeats."""
-    for dx in (-2 * TILE, 0, 2 * TILE):
-        for dy in (-2 * TILE, 0, 2 * TILE):
-            draw(dx, dy)
+    return np.asarray(cv2.resize(canvas.astype(np.float32), (TILE, TILE), interpolation=cv2.INTER_AREA), np.float32)
 
 
 PATTERNS: dict[str, Callable[[Generator], Array]] = {

@@ -46,10 +46,10 @@ class Cameras:
             gain, gamma = tone * np.exp(rng.normal(0, apart, 2))
             view = _tone(image, gain * colour * np.exp(rng.normal(0, 0.4 * apart, 3)), gamma)
             if grey:
-                view = cv2.transform(view, _LUMA)
+                view = np.asarray(cv2.transform(view, _LUMA), np.uint8)
             sigma = blur + strength * rng.uniform(-0.15, 0.15) if blur else 0.0
             if sigma > 0.2:
-                view = cv2.GaussianBlur(view, (0, 0), sigma)
+                view = np.asarray(cv2.GaussianBlur(view, (0, 0), sigma), np.uint8)
             views.append(self._expose(view, rng, vignette * rng.uniform(0.8, 1.2), noise * rng.uniform(0.8, 1.2), grey))
         pair = replace(sample, left=views[0], right=views[1])
         if rng.random() < 0.3:
@@ -77,5 +77,4 @@ class Cameras:
 def _tone(image: Image, gain: npt.NDArray[np.float64], gamma: float) -> Image:
     values = np.linspace(0, 1, 256)[:, None] ** gamma * gain
     table = np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8)
-    toned: Image = cv2.LUT(image, table[None])  # type: ignore[assignment]
-    return toned
+    return np.asarray(cv2.LUT(image, table[None]), np.uint8)

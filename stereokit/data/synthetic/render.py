@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from stereokit.data.datasets.dataset import Mask
@@ -62,7 +63,8 @@ def _draw(layer: Layer, view: View, image: Image, disparity: Array) -> None:
         covered = (np.float32(0.5) - outside[edge])[:, None]
         behind = canvas[edge]
         blended = np.rint(behind + covered * (colours[edge].astype(np.float32) - behind))
-    np.copyto(canvas, colours, where=inside[:, :, None])
+    mask = inside.view(np.uint8)
+    cv2.copyTo(colours, mask, canvas)  # many times quicker than numpy's
     if outside is not None:
         canvas[edge] = blended
-    np.copyto(depths, nearer, where=inside)
+    cv2.copyTo(nearer, mask, depths)

@@ -134,9 +134,7 @@ class Surface:
 
     def _of_row(self, dv: Array) -> Array:
         """The terms that depend on the row alone."""
-        result: Array = np.float32(self.disparity) + dv * (
-            np.float32(self.slope[1]) + np.float32(self.bend[1]) * dv
-        )
+        result: Array = np.float32(self.disparity) + dv * (np.float32(self.slope[1]) + np.float32(self.bend[1]) * dv)
         return result
 
     @staticmethod

@@ -4,6 +4,7 @@ import colorsys
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -78,7 +79,7 @@ class Texture:
         levels = _levels_of_rows(self.ground, self.texels, v)
         bands = np.flatnonzero(np.diff(levels, prepend=-1, append=-1))
         result = np.empty((*u.shape, 3), np.uint8)
-        for first, last in zip(bands[:-1], bands[1:], strict=True):
+        for first, last in pairwise(bands):
             result[first:last] = self._colours(x[first:last], z[first:last], float(levels[first]))
         return result
 
@@ -93,10 +94,10 @@ class Texture:
         if self.modulation is not None:
             image, ratio, weight = self.modulation
             other = _sample(image, s * np.float32(ratio), t * np.float32(ratio), level + math.log2(ratio))
-            values = cv2.addWeighted(values, 1 - weight, other, weight, 0)
+            values = np.asarray(cv2.addWeighted(values, 1 - weight, other, weight, 0), np.uint8)
         if values.ndim == 2:
-            return np.take(self.palette, values, axis=0)
-        return cv2.LUT(values, self.palette[None])
+            return np.asarray(cv2.applyColorMap(values, self.palette[:, None]), np.uint8)
+        return np.asarray(cv2.LUT(values, self.palette[None]), np.uint8)
 
 
 def _levels_of_rows(ground: Ground, texels: float, v: Array) -> npt.NDArray[np.int64]:
@@ -113,8 +114,26 @@ def _sample(pyramid: Pyramid, s: Array, t: Array, level: float) -> Image:
         part, shift = np.float32(0.5**number), np.float32(0.5 * 0.5**number - 0.5)
         s, t = s * part + shift, t * part + shift
     image = pyramid[number]
-    border = cv2.BORDER_WRAP if image.ndim == 2 else cv2.BORDER_REFLECT
-    return cv2.remap(image, s, t, cv2.INTER_LINEAR, borderMode=border)  # type: ignore[return-value]
+    # far quicker than to let remap find its way back from beyond the border
+    height, width = image.shape[:2]
+    if image.ndim == 2:
+        s, t, border = _repeated(s, width), _repeated(t, height), cv2.BORDER_WRAP
+    else:
+        s, t, border = _mirrored(s, width), _mirrored(t, height), cv2.BORDER_REPLICATE
+    return np.asarray(cv2.remap(image, s, t, cv2.INTER_LINEAR, borderMode=border), np.uint8)
+
+
+def _repeated(place: Array, size: int) -> Array:
+    whole = np.floor(place * np.float32(1 / size))
+    whole *= np.float32(-size)
+    whole += place
+    return whole
+
+
+def _mirrored(place: Array, size: int) -> Array:
+    place = _repeated(place + np.float32(0.5), 2 * size)
+    mirrored: Array = np.minimum(place, np.float32(2 * size) - place) - np.float32(0.5)
+    return mirrored
 
 
 class TextureBank:
@@ -151,7 +170,9 @@ class TextureBank:
             ground: perspective, for a floor.
         """
         is_photograph = bool(self.photographs) and rng.random() < 0.5
-        strength = math.exp(rng.uniform(math.log(0.01), math.log(0.15))) if rng.random() < plain else rng.uniform(*contrast)
+        strength = (
+            math.exp(rng.uniform(math.log(0.01), math.log(0.15))) if rng.random() < plain else rng.uniform(*contrast)
+        )
         texels = math.exp(rng.uniform(math.log(0.4), math.log(3.0)))
         modulation = None
         if is_photograph:
@@ -175,7 +196,11 @@ class TextureBank:
         strength = rng.choice((0.0, rng.uniform(0.02, 0.2), rng.uniform(0.2, 1.0)), p=(0.3, 0.35, 0.35))
         palette = _blend([haze, haze + strength * (top - haze)], [0.0, 1.0])
         return Texture(
-            tile, palette, float(rng.uniform(0, math.pi)), 0.15, (float(rng.uniform(0, TILE)), float(rng.uniform(0, TILE)))
+            tile,
+            palette,
+            float(rng.uniform(0, math.pi)),
+            0.15,
+            (float(rng.uniform(0, TILE)), float(rng.uniform(0, TILE))),
         )
 
 
@@ -191,7 +216,9 @@ def random_palette(rng: np.random.Generator, contrast: float) -> Image:
     colours = []
     for _ in range(count):
         hue = base + 0.06 * rng.standard_normal() if rng.random() < 0.75 else rng.uniform()
-        colours.append(np.array(colorsys.hsv_to_rgb(hue % 1.0, min(vivid * rng.uniform(0.4, 1.6), 1.0), rng.uniform(0.04, 1.0))))
+        colours.append(
+            np.array(colorsys.hsv_to_rgb(hue % 1.0, min(vivid * rng.uniform(0.4, 1.6), 1.0), rng.uniform(0.04, 1.0)))
+        )
     places = [0.0, *np.sort(rng.uniform(0, 1, count - 2)), 1.0]
     mean = np.mean(colours, axis=0)
     return _blend([mean + contrast * (colour - mean) for colour in colours], places)
@@ -219,7 +246,7 @@ def _pyramid(image: Image) -> Pyramid:
     while len(levels) < _LEVELS and min(levels[-1].shape[:2]) >= 16:
         height, width = levels[-1].shape[:2]
         half = cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
-        levels.append(half)  # type: ignore[arg-type]
+        levels.append(np.asarray(half, np.uint8))
     return tuple(levels)
 
 
