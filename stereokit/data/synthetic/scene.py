@@ -9,6 +9,7 @@ from stereokit.data.datasets.dataset import Mask
 from stereokit.data.synthetic.shapes import Shape
 from stereokit.data.synthetic.surfaces import Array, Surface
 from stereokit.data.synthetic.textures import Texture
+from stereokit.errors import InputError
 
 __all__ = ["Layer", "Scene", "View", "hidden"]
 
@@ -73,10 +74,17 @@ class Scene:
         size: height and width of the views.
         layers: those without an end first, then from far to near. At each pixel the one of the largest disparity is
             seen, whatever the order.
+
+    Raises:
+        InputError: all layers have an end.
     """
 
     size: tuple[int, int]
     layers: tuple[Layer, ...]
+
+    def __post_init__(self) -> None:
+        if all(layer.shape is not None for layer in self.layers):
+            raise InputError("a scene needs a layer without an end behind the others, so that all pixels see something")
 
 
 def hidden(scene: Scene, view: View, disparity: Array) -> Mask:

@@ -4,6 +4,7 @@ import colorsys
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -149,8 +150,7 @@ class TextureBank:
     """
 
     def __init__(self, seed: int, *, tiles: int = 48, photographs: Path | None = None) -> None:
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-        self.tiles: list[Pyramid] = [_pyramid(tile) for tile in draw_tiles(rng, tiles)]
+        self.tiles = _tiles(seed, tiles)
         self.photographs: list[Pyramid] = [] if photographs is None else _read_photographs(photographs)
 
     def texture(
@@ -239,6 +239,13 @@ def _blend(colours: Sequence[npt.NDArray[Any]], places: Sequence[float]) -> Imag
     palette = np.stack([np.interp(at, places, table[:, channel]) for channel in range(3)], axis=1)
     colour: Image = np.rint(np.clip(palette, 0, 1) * 255).astype(np.uint8)
     return colour
+
+
+@lru_cache(maxsize=2)
+def _tiles(seed: int, count: int) -> tuple[Pyramid, ...]:
+    """The tiles of a seed, which are drawn for some seconds and then shared by all that use them."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    return tuple(_pyramid(tile) for tile in draw_tiles(rng, count))
 
 
 def _pyramid(image: Image) -> Pyramid:

@@ -32,7 +32,7 @@ def test_all_disparities_occur(bank):
 
 
 def test_the_exponent_moves_things_away(bank):
-    scenes, even = disparities(bank, disparity_exponent=0.6)
+    _, even = disparities(bank, disparity_exponent=0.6)
     _, far = disparities(bank, disparity_exponent=4.0)
     assert even.mean() > far.mean() + 1
 

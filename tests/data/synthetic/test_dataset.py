@@ -7,7 +7,7 @@ from torch.utils.data import DataLoader
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import ConfigError
 
-SETTINGS = {"seed": 5, "size": (48, 64), "max_disparity": 20}
+SETTINGS = {"seed": 3, "size": (48, 64), "max_disparity": 20}
 PARTS = ("left", "right", "disparity", "right_disparity", "nonocc", "right_nonocc")
 
 
@@ -52,7 +52,7 @@ def test_an_item_hangs_on_seed_and_index_alone(small):
     again = SyntheticScenes(**SETTINGS)
     assert_same(again[4], small[4])
     assert_same(pickle.loads(pickle.dumps(small))[2], small[2])
-    other = SyntheticScenes(**{**SETTINGS, "seed": 6})
+    other = SyntheticScenes(**{**SETTINGS, "seed": 0})
     assert (other[4].left != small[4].left).mean() > 0.5
 
 

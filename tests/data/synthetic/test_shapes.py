@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from stereokit.data.synthetic.shapes import Blob, Box, Ellipse, Lattice, Polygon, Wire
 
-DV = np.arange(-90, 90, 0.5, dtype=np.float32)[:, None]
-DU = np.broadcast_to(np.arange(-90, 90, 0.5, dtype=np.float32), (len(DV), 360))
+DV = np.arange(-89.75, 90, 0.5, dtype=np.float32)[:, None]
+DU = np.broadcast_to(np.arange(-89.75, 90, 0.5, dtype=np.float32), (len(DV), 360))
 
 sizes, angles = st.floats(3, 50), st.floats(-4, 4)
 shapes = st.one_of(
