@@ -36,7 +36,7 @@ class Cameras:
         if strength == 0:
             return sample
         common, apart = strength * 0.25, strength * 0.08 * rng.exponential()
-        tone = np.exp(rng.normal(0, common, 2)) * (1, 1)
+        tone = np.exp(rng.normal((-0.4 * common, 0.0), common))
         colour = np.exp(rng.normal(0, 0.3 * common, 3))
         grey = rng.random() < 0.12
         blur, noise = rng.choice((0.0, rng.uniform(0.3, 1.0)), p=(0.4, 0.6)), strength * 4 * rng.exponential()

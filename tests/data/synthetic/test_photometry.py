@@ -46,3 +46,12 @@ def test_any_size(scenes, size):
     image = np.full((*size, 3), 128, np.uint8)
     pair = Cameras(0)(StereoSample("a", image, image), np.random.default_rng(0))
     assert pair.left.shape == image.shape
+
+
+def test_next_to_no_strength_is_next_to_no_change(scenes):
+    before = scenes[4]
+    for pair in taken(scenes, range(12), 1e-6):
+        grey = np.ptp(pair.left, axis=2).max() == 0
+        reference = before.left.astype(float) @ [0.299, 0.587, 0.114] if grey else before.left.mean(axis=2)
+        assert pair.left.mean() == pytest.approx(reference.mean(), abs=1)
+        assert pair.left.mean() - pair.right.mean() == pytest.approx(before.left.mean() - before.right.mean(), abs=2)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from stereokit.data.images import write_image
-from stereokit.data.synthetic.textures import Ground, TextureBank, random_palette
+from stereokit.data.synthetic.textures import Ground, Texture, TextureBank, random_palette
 from stereokit.errors import InputError
 
 V = np.arange(40, 90, dtype=np.float32)[:, None]
@@ -83,3 +83,38 @@ def test_skies_have_little_contrast(bank):
     spreads = [bank.sky(rng).colours(U, V, U).std(axis=(0, 1)).max() for _ in range(20)]
     assert max(spreads) < 40
     assert min(spreads) == 0
+
+
+GREYS = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+
+
+def test_tiles_repeat_and_photographs_are_mirrored():
+    rng = np.random.default_rng(0)
+    tile, photograph = rng.integers(0, 256, (16, 24), np.uint8), rng.integers(0, 256, (16, 24, 3), np.uint8)
+    rows = np.arange(-32, 48, dtype=np.float32)[:, None]
+    columns = np.broadcast_to(np.arange(-48, 72, dtype=np.float32), (80, 120))
+    texture = Texture((tile,), GREYS, 0.0, 1.0, (0.0, 0.0))
+    np.testing.assert_array_equal(texture.colours(columns, rows, columns)[..., 0], np.tile(tile, (5, 5)))
+    texture = Texture((photograph,), GREYS, 0.0, 1.0, (0.0, 0.0))
+    padded = np.pad(photograph, ((32, 32), (48, 48), (0, 0)), mode="symmetric")
+    np.testing.assert_array_equal(texture.colours(columns, rows, columns), padded)
+
+
+def test_coarse_levels_lie_on_the_fine_one():
+    ramp = np.broadcast_to(np.arange(32, dtype=np.uint8) * 7, (32, 32))
+    levels = tuple(ramp.reshape(32 >> k, 1 << k, 32 >> k, 1 << k).mean(axis=(1, 3)).astype(np.uint8) for k in (0, 1, 2))
+    rows, columns = np.arange(4, 12, dtype=np.float32)[:, None], np.arange(10, 20, dtype=np.float32) / 4
+    for texels in (1.0, 2.0, 4.0):
+        texture = Texture(levels, GREYS, 0.0, texels, (0.0, 0.0))
+        places = np.broadcast_to(columns * 4 / texels, (8, 10)).astype(np.float32)
+        seen = texture.colours(places, rows / np.float32(texels), places)[..., 0]
+        assert np.abs(seen - 7.0 * columns * 4).max() <= 3
+
+
+def test_a_turned_texture():
+    tile = np.random.default_rng(0).integers(0, 256, (16, 16), np.uint8)
+    texture = Texture((tile,), GREYS, np.pi / 2, 1.0, (3.0, 5.0))
+    rows = np.arange(16, dtype=np.float32)[:, None]
+    seen = texture.colours(np.broadcast_to(np.arange(16, dtype=np.float32), (16, 16)), rows, rows)[..., 0]
+    expected = tile[(5 - np.arange(16)[None]) % 16, (3 + np.arange(16)[:, None]) % 16]
+    assert np.abs(seen.astype(int) - expected).max() <= 1
