@@ -13,6 +13,7 @@ from stereokit._version import __version__
 from stereokit.builder import build_model
 from stereokit.data.datasets import DATASETS, check_dataset, format_report, open_dataset
 from stereokit.data.pairs import match_pairs
+from stereokit.data.synthetic.command import run_synth
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.evaluation import command as evaluation_command
 from stereokit.inference import Predictor, check_free, output_paths
@@ -107,6 +108,16 @@ def _parser() -> argparse.ArgumentParser:
     _add_published_options(convert)
     convert.add_argument("--overwrite", action="store_true", help="replace an existing network")
     convert.set_defaults(run=_convert)
+
+    synth = commands.add_parser("synth", help="render synthetic pairs with ground truth, in SceneFlow's layout")
+    synth.add_argument("--count", type=int, required=True, help="number of pairs")
+    synth.add_argument("--out", required=True, help="folder for them")
+    synth.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
+    synth.add_argument("--size", nargs=2, type=int, default=(256, 512), metavar=("HEIGHT", "WIDTH"))
+    synth.add_argument("--max-disparity", type=float, default=96.0, help="in pixels (default: %(default)s)")
+    synth.add_argument("--textures", metavar="DIR", help="folder of photographs to use besides procedural textures")
+    synth.add_argument("--split", choices=("test", "train"), default="test", help="(default: %(default)s)")
+    synth.set_defaults(run=run_synth)
     return parser
 
 

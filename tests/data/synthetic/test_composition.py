@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stereokit.data.synthetic import Composition, render_view
+from stereokit.data.synthetic.shapes import Box, Ellipse, Lattice, Wire
+from stereokit.errors import ConfigError
+
+
+@given(seed=st.integers(0, 2**32 - 1), highest=st.sampled_from([8.0, 30.0, 128.0]))
+@settings(deadline=None, max_examples=40)
+def test_disparity_stays_within_bounds(bank, seed, highest):
+    scene = Composition(size=(48, 128), max_disparity=highest).scene(np.random.default_rng(seed), bank)
+    for view in ("left", "right"):
+        disparity = render_view(scene, view).disparity
+        assert disparity.min() >= 0
+        assert disparity.max() <= highest
+
+
+def disparities(bank, count=40, **options):
+    composition = Composition(size=(48, 96), max_disparity=32, **options)
+    scenes = [composition.scene(np.random.default_rng(seed), bank) for seed in range(count)]
+    return scenes, np.stack([render_view(scene, "left").disparity for scene in scenes])
+
+
+def test_all_disparities_occur(bank):
+    _, values = disparities(bank)
+    share, _ = np.histogram(values, bins=8, range=(0, 32))
+    assert share.min() / share.sum() > 0.02
+    assert (values < 0.5).mean() > 0.01
+
+
+def test_the_exponent_moves_things_away(bank):
+    _, even = disparities(bank, disparity_exponent=0.6)
+    _, far = disparities(bank, disparity_exponent=4.0)
+    assert even.mean() > far.mean() + 1
+
+
+def test_number_and_kind_of_things(bank):
+    def things(scenes):
+        return [layer.shape for scene in scenes for layer in scene.layers if layer.shape is not None]
+
+    thin, _ = disparities(bank, thin=1.0, objects=(8, 8), count=10)
+    kinds = {type(shape) for shape in things(thin)}
+    assert kinds == {Box, Wire, Lattice, Ellipse}
+    solid, _ = disparities(bank, thin=0.0, objects=(8, 8), count=10)
+    assert not {Wire, Lattice} & {type(shape) for shape in things(solid)}
+    assert len(things(solid)) >= 80
+    empty, values = disparities(bank, objects=(0, 0), count=10)
+    assert len(things(empty)) < 20
+    assert np.isfinite(values).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"size": (16, 512)}, "at least 32 x 32 pixels, got size 16 x 512"),
+        ({"max_disparity": 600}, "from 4 to the width 512, got 600"),
+        ({"disparity_exponent": 0}, "disparity_exponent must be positive"),
+        ({"thin": 1.5}, "thin a part from 0 to 1"),
+        ({"objects": (5, 2)}, "fewest and the most"),
+    ],
+)
+def test_wrong_settings(options, message):
+    with pytest.raises(ConfigError, match=message):
+        Composition(**options)
