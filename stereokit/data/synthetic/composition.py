@@ -231,7 +231,7 @@ _SETTINGS: tuple[Callable[[Composition, Generator, TextureBank], tuple[Layer, ..
     _table,
     _heap,
 )
-_HOW_OFTEN = (0.35, 0.25, 0.25, 0.15)
+_HOW_OFTEN = (0.3, 0.3, 0.25, 0.15)
 
 
 def _floor(of: Composition, bank: TextureBank, rng: Generator, *, row: float, far: float, near: float) -> Layer:

@@ -35,7 +35,7 @@ class Cameras:
         strength = self.strength
         if strength == 0:
             return sample
-        common, apart = strength * 0.25, strength * 0.08 * rng.exponential()
+        common, apart = strength * 0.25, strength * 0.08 * min(rng.exponential(), 2.5)
         tone = np.exp(rng.normal((-0.4 * common, 0.0), common))
         colour = np.exp(rng.normal(0, 0.3 * common, 3))
         grey = rng.random() < 0.12

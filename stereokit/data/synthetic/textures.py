@@ -194,7 +194,7 @@ class TextureBank:
         top = np.array(colorsys.hsv_to_rgb(rng.uniform(0.52, 0.65), rng.beta(1.2, 2.5), rng.uniform(0.45, 1.0)))
         haze = np.clip(top + rng.uniform(0.0, 0.4), 0, 1)
         strength = rng.choice((0.0, rng.uniform(0.02, 0.2), rng.uniform(0.2, 1.0)), p=(0.3, 0.35, 0.35))
-        palette = _blend([haze, haze + strength * (top - haze)], [0.0, 1.0])
+        palette = _blend([haze, haze + strength * (top - haze)], np.array([0.0, 1.0]))
         return Texture(
             tile,
             palette,
@@ -219,9 +219,10 @@ def random_palette(rng: np.random.Generator, contrast: float) -> Image:
         colours.append(
             np.array(colorsys.hsv_to_rgb(hue % 1.0, min(vivid * rng.uniform(0.4, 1.6), 1.0), rng.uniform(0.04, 1.0)))
         )
-    places = [0.0, *np.sort(rng.uniform(0, 1, count - 2)), 1.0]
+    # two places never so close that a smooth tile would get a jagged edge
+    places = np.cumsum([0.0, *rng.uniform(0.5, 1.5, count - 1)])
     mean = np.mean(colours, axis=0)
-    return _blend([mean + contrast * (colour - mean) for colour in colours], places)
+    return _blend([mean + contrast * (colour - mean) for colour in colours], places / places[-1])
 
 
 def _random_tone_curves(rng: np.random.Generator, contrast: float) -> Image:
@@ -234,7 +235,7 @@ def _random_tone_curves(rng: np.random.Generator, contrast: float) -> Image:
     return curve
 
 
-def _blend(colours: Sequence[npt.NDArray[Any]], places: Sequence[float]) -> Image:
+def _blend(colours: Sequence[npt.NDArray[Any]], places: npt.NDArray[Any]) -> Image:
     at, table = np.linspace(0, 1, 256), np.array(colours)
     palette = np.stack([np.interp(at, places, table[:, channel]) for channel in range(3)], axis=1)
     colour: Image = np.rint(np.clip(palette, 0, 1) * 255).astype(np.uint8)
