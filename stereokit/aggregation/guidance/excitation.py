@@ -29,19 +29,21 @@ def excite(volume: Tensor, logits: Tensor) -> Tensor:
     return logits.sigmoid().unsqueeze(2) * volume
 
 
-def guide_network(guide_channels: int, volume_channels: int) -> nn.Sequential:
+class _PointwiseGuidance(nn.Module):
     """Two point-wise convolutions from a guide to one value per channel of the volume."""
-    hidden = max(1, guide_channels // 2)
-    network = nn.Sequential(
-        ConvNormAct(guide_channels, hidden, 1),
-        nn.Conv2d(hidden, volume_channels, 1),
-    )
-    init_convolutions(network)
-    return network
+
+    def __init__(self, guide_channels: int, volume_channels: int) -> None:
+        super().__init__()
+        self.guide_channels = guide_channels
+        self.volume_channels = volume_channels
+        hidden = max(1, guide_channels // 2)
+        last = nn.Conv2d(hidden, volume_channels, 1)
+        init_convolutions(last)
+        self.network = nn.Sequential(ConvNormAct(guide_channels, hidden, 1), last)
 
 
 @GUIDANCE.register("gce")
-class GCE(nn.Module):
+class GCE(_PointwiseGuidance):
     r"""Guided Cost volume Excitation: image features choose which channels of the cost volume count.
 
     .. math:: \alpha = \sigma(F^{2D}(I)), \qquad C_o = \alpha \times C_i
@@ -62,19 +64,13 @@ class GCE(nn.Module):
     torch.Size([2, 8, 12, 16, 32])
     """
 
-    def __init__(self, guide_channels: int, volume_channels: int) -> None:
-        super().__init__()
-        self.guide_channels = guide_channels
-        self.volume_channels = volume_channels
-        self.network = guide_network(guide_channels, volume_channels)
-
     def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
         """Volume and guide to the excited volume."""
         return excite(volume, self.network(guide))
 
 
 @GUIDANCE.register("addition")
-class AdditiveGuidance(nn.Module):
+class AdditiveGuidance(_PointwiseGuidance):
     r"""Image features added to the cost volume, alike at every disparity: :math:`C_o = C_i + F^{2D}(I)`.
 
     Args:
@@ -90,12 +86,6 @@ class AdditiveGuidance(nn.Module):
     >>> add(torch.rand(1, 8, 12, 16, 32), torch.rand(1, 96, 16, 32)).shape
     torch.Size([1, 8, 12, 16, 32])
     """
-
-    def __init__(self, guide_channels: int, volume_channels: int) -> None:
-        super().__init__()
-        self.guide_channels = guide_channels
-        self.volume_channels = volume_channels
-        self.network = guide_network(guide_channels, volume_channels)
 
     def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
         """Volume and guide to their sum."""
