@@ -37,9 +37,9 @@ class SmallStereoNet(nn.Module):
 
 def train_step(network: nn.Module, optimizer: torch.optim.Optimizer, shift: int) -> float:
     """One step on noise that moved by `shift` pixels."""
-    noise = F.avg_pool2d(torch.rand(4, 3, 66, 66 + shift), 3, stride=1)
+    noise = F.avg_pool2d(torch.rand(2, 3, 66, 66 + shift), 3, stride=1)
     left, right = noise[..., : -shift or None], noise[..., shift:]
-    loss = F.smooth_l1_loss(network(left, right), torch.full((4, 64, 64), float(shift)))
+    loss = F.smooth_l1_loss(network(left, right), torch.full((2, 64, 64), float(shift)))
     optimizer.zero_grad()
     loss.backward()
     optimizer.step()
@@ -49,8 +49,8 @@ def train_step(network: nn.Module, optimizer: torch.optim.Optimizer, shift: int)
 def main() -> None:
     torch.manual_seed(0)
     network = SmallStereoNet()
-    optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
-    losses = [train_step(network, optimizer, shift=4 * (1 + step % 4)) for step in range(60)]
+    optimizer = torch.optim.Adam(network.parameters(), lr=1e-2)
+    losses = [train_step(network, optimizer, shift=4 * (1 + step % 4)) for step in range(30)]
     first, last = sum(losses[:10]) / 10, sum(losses[-10:]) / 10
     print(f"mean loss of the first ten steps {first:.2f} px, of the last ten {last:.2f} px")
 

@@ -97,14 +97,21 @@ def build_model(model: str | Mapping[str, Any], **overrides: Any) -> Any:
     32
     """
     if isinstance(model, str):
-        return MODELS.get(model)(**overrides)
+        return MODELS.build(model, overrides)
+    if not isinstance(model, Mapping):
+        raise ConfigError(f"a model is a name or a configuration, not {model!r}; {suggest('', MODELS.names())}")
     settings = dict(model)
     name = settings.pop("name", None)
     if not isinstance(name, str):
         raise ConfigError(f"a configuration holds the name of its model, one of {', '.join(MODELS.names())}")
     if "top_k" in overrides:
         settings.pop("regression", None)
-    return MODELS.get(name)(**{**settings, **overrides})
+    for slot, override in overrides.items():
+        # a dict without a name changes arguments of what the configuration holds
+        if isinstance(override, Mapping) and "name" not in override and isinstance(settings.get(slot), Mapping):
+            override = {**settings[slot], **override}
+        settings[slot] = override
+    return MODELS.build(name, settings)
 
 
 def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any]) -> StereoModel:
@@ -209,6 +216,9 @@ class _Slot:
                 raise ConfigError(f"{self} was passed in as a module, with its weights: leave out pretrained_backbone")
             check_interface(self.slot, self.block)
             return self.block
+        decided = [key for key in self.arguments if key in offered and key != "pretrained"]
+        if decided:
+            raise ConfigError(f"{', '.join(decided)} of {self} follows from the rest of the network; leave it out")
         if offered.get("pretrained") and "pretrained" not in self.registry.parameters(self.name):
             raise ConfigError(f"{self} has no pretrained weights to load")
         self.resolved = {"name": self.name, **self.registry.resolve(self.name, self.arguments, offered)}

@@ -7,17 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
 from tqdm import tqdm
 
 from stereokit._version import __version__
 from stereokit.builder import build_model
+from stereokit.data.atomic import make_folder
 from stereokit.data.datasets import DATASETS, check_dataset, format_report, open_dataset
 from stereokit.data.pairs import match_pairs
 from stereokit.data.synthetic.command import run_synth
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.evaluation import command as evaluation_command
 from stereokit.inference import Predictor, check_free, output_paths
-from stereokit.model import StereoModel
+from stereokit.model import MIN_SIZE, StereoModel
 from stereokit.published import NETWORKS, ConversionReport, convert_published
 from stereokit.registry import REGISTRIES, list_components
 from stereokit.summary import model_summary
@@ -135,6 +137,9 @@ def _predict(options: argparse.Namespace) -> None:
     pairs = match_pairs(options.left, options.right)
     check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
     predictor = Predictor(_load_network(options), options.device)
+    if len(pairs) > 1:
+        # now rather than after the first pair is matched
+        make_folder(options.out)
     failed: list[str] = []
     for pair in tqdm(pairs, unit="pair", disable=len(pairs) == 1):
         try:
@@ -147,7 +152,9 @@ def _predict(options: argparse.Namespace) -> None:
             tqdm.write(f"{pair.name}: {error}", file=sys.stderr)
             continue
         height, width = result.size
-        low, high = result.disparity.min(), result.disparity.max()
+        low, high = np.nanmin(result.disparity), np.nanmax(result.disparity)
+        if result.invalid:
+            tqdm.write(f"{pair.name}: {result.invalid} pixels have no finite disparity", file=sys.stderr)
         tqdm.write(
             f"{pair.name}: {width} x {height} px, disparity {low:.1f} to {high:.1f} px, {result.seconds:.2f} s "
             f"on {predictor.device}; wrote {', '.join(map(str, written))}"
@@ -200,7 +207,8 @@ def _read_published(options: argparse.Namespace, path: str, network: str) -> tup
 
 def _list(options: argparse.Namespace) -> None:
     if options.slot is not None:
-        print(*list_components(options.slot, options.pattern), sep="\n")
+        for name in list_components(options.slot, options.pattern):
+            print(name)
         return
     for slot in REGISTRIES:
         print(f"{slot:13}{'  '.join(list_components(slot))}")
@@ -212,8 +220,8 @@ def _info(options: argparse.Namespace) -> None:
     if not isinstance(model, StereoModel):
         raise ConfigError(f"model {options.model!r} is not made of slots: it has no table of blocks")
     height, width = options.size
-    if min(height, width) < 32:
-        raise InputError(f"--size {height} {width} is below 32 x 32, the smallest that networks take")
+    if min(height, width) < MIN_SIZE:
+        raise InputError(f"--size {height} {width} is below {MIN_SIZE} x {MIN_SIZE}, the smallest that networks take")
     blocks = model_summary(model, height, width)
     parameters, multiply_adds = sum(b.parameters for b in blocks), sum(b.multiply_adds for b in blocks)
     config = model.config
@@ -231,6 +239,7 @@ def _info(options: argparse.Namespace) -> None:
 
 def _convert(options: argparse.Namespace) -> None:
     check_free([Path(options.out) / "config.json"], overwrite=options.overwrite)
+    make_folder(options.out)
     model, report = _read_published(options, options.checkpoint, options.model)
     model.save_pretrained(options.out)
     order = (options.channel_order or "bgr").upper()

@@ -64,12 +64,12 @@ class FeatureInfo:
 
     @property
     def coarsest_guide(self) -> int:
-        """Stride of the coarsest guide; the network averages it down where a coarser one is wanted."""
-        return max(self.guide_channels)
+        """Stride of the coarsest guide, 0 without one; the network averages it down where a coarser one is wanted."""
+        return max(self.guide_channels, default=0)
 
     def channels_at(self, stride: int) -> int | None:
         """Channels of the guide at `stride`, given or averaged down from the coarsest; None where there is none."""
-        if stride > self.coarsest_guide and stride % self.coarsest_guide == 0:
+        if self.guide_channels and stride > self.coarsest_guide and stride % self.coarsest_guide == 0:
             return self.guide_channels[self.coarsest_guide]
         return self.guide_channels.get(stride)
 
@@ -257,8 +257,11 @@ def check_max_disparity(max_disparity: int, multiple: int, blocks: str) -> None:
     )
 
 
-def input_multiple(backbone: Backbone, aggregation: Aggregation) -> int:
+def input_multiple(backbone: Backbone, aggregation: Aggregation, upsampler: Upsampler) -> int:
     """Height and width of the padded input are multiples of this: every stride of the network divides them."""
     return math.lcm(
-        backbone.multiple, backbone.info.matching_stride * aggregation.multiple, *aggregation.guide_channels
+        backbone.multiple,
+        backbone.info.matching_stride * aggregation.multiple,
+        *aggregation.guide_channels,
+        *upsampler.guide_channels,
     )

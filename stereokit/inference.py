@@ -11,12 +11,13 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from stereokit.data.atomic import atomic_path
+from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
-from stereokit.errors import ConfigError, InputError
+from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inputs import ImageLike, to_pair
 from stereokit.model import MIN_SIZE, StereoModel
+from stereokit.registry import MODELS
 from stereokit.viz import picture_with_scale
 
 __all__ = ["DisparityResult", "Predictor", "choose_device"]
@@ -47,6 +48,11 @@ class DisparityResult:
         """Height and width, those of the input."""
         height, width = self.disparity.shape
         return height, width
+
+    @property
+    def invalid(self) -> int:
+        """How many pixels have no finite disparity; networks in order give 0."""
+        return int(np.count_nonzero(~np.isfinite(self.disparity)))
 
     def picture(self, value_range: tuple[float, float] | None = None) -> npt.NDArray[np.uint8]:
         """The disparity in colours above its scale, RGB."""
@@ -89,9 +95,10 @@ class DisparityResult:
         """
         paths = output_paths(folder, name)
         check_free(paths, overwrite=overwrite)
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         kitti, *exact, picture = paths
-        disparities = exact if float(np.nanmax(self.disparity)) > KITTI_MAX else [kitti, *exact]
+        highest = np.max(self.disparity, where=np.isfinite(self.disparity), initial=0)
+        disparities = exact if highest > KITTI_MAX else [kitti, *exact]
         for path in disparities:
             self.save(path, overwrite=overwrite)
         write_image(picture, self.picture(), overwrite=overwrite)
@@ -112,9 +119,9 @@ def check_free(paths: list[Path], *, overwrite: bool) -> None:
     """Raises `InputError` if a file to be written exists already and `overwrite` was not said."""
     taken = [] if overwrite else [str(path) for path in paths if path.exists()]
     if taken:
-        more = f" and {len(taken) - 1} more" if len(taken) > 1 else ""
+        more = f", and so do {len(taken) - 1} more" if len(taken) > 1 else ""
         raise InputError(
-            f"{taken[0]!r}{more} exists already; choose another folder, or say --overwrite (overwrite=True)"
+            f"{taken[0]!r} exists already{more}; choose another folder, or say --overwrite (overwrite=True)"
         )
 
 
@@ -138,7 +145,7 @@ class Predictor:
 
     def __init__(self, model: nn.Module | str | os.PathLike[str], device: str | torch.device = "auto") -> None:
         self.device = choose_device(device)
-        network = model if isinstance(model, nn.Module) else StereoModel.from_pretrained(os.fspath(model))
+        network = model if isinstance(model, nn.Module) else _saved_network(model)
         self.model = network.to(self.device).eval()
 
     @torch.inference_mode()
@@ -162,6 +169,17 @@ class Predictor:
         disparity = output.disparity[0].float().cpu().numpy()
         confidence = None if output.confidence is None else output.confidence[0].float().cpu().numpy()
         return DisparityResult(disparity, confidence, time.perf_counter() - start)
+
+
+def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
+    if not isinstance(place, str | os.PathLike):
+        raise ConfigError(f"a predictor takes a network, or the place of a saved one; got {type(place).__name__}")
+    name = os.fspath(place)
+    if os.path.isfile(name):
+        raise CheckpointError(f"{name!r} is a file; a published checkpoint is read by stereokit.load_published")
+    if name in MODELS and not os.path.isdir(name):
+        raise CheckpointError(f"{name!r} names a network without weights; give the folder of a saved one")
+    return StereoModel.from_pretrained(name)
 
 
 def choose_device(device: str | torch.device = "auto") -> torch.device:

@@ -15,7 +15,7 @@ __all__ = ["ImageLike", "to_image_tensor", "to_pair"]
 
 ImageLike: TypeAlias = Union[str, "os.PathLike[str]", npt.NDArray[Any], Tensor, Any]
 """A path, an array (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), a tensor (H, W), (1, H, W), (3, H, W) or
-(1, 3, H, W), or a PIL image. uint8, uint16, or floating-point in [0, 1]; colours are RGB."""
+(1, 3, H, W), or a PIL image, whose "I" modes hold 16 bits. uint8, uint16, or floating-point in [0, 1]; RGB."""
 
 EXPECTED = "a path, an array (H, W, 3) or (H, W), a tensor (3, H, W) or (H, W), or a PIL image"
 
@@ -44,7 +44,7 @@ def to_image_tensor(image: ImageLike, name: str = "image") -> Tensor:
     if isinstance(image, Tensor):
         return _from_array(_channels_last(image, name), name)
     if hasattr(image, "getbands") and hasattr(image, "convert"):
-        return _from_array(_from_pil(image), name)
+        return _from_array(_from_pil(image, name), name)
     if isinstance(image, np.ndarray):
         return _from_array(image, name)
     raise InputError(f"{name} is {type(image).__name__}; expected {EXPECTED}")
@@ -84,11 +84,19 @@ def _channels_last(tensor: Tensor, name: str) -> npt.NDArray[Any]:
     return (tensor.float() if tensor.is_floating_point() else tensor).numpy()
 
 
-def _from_pil(image: Any) -> npt.NDArray[Any]:
-    # Pillow opens 16-bit grey files as one of the "I" modes
+def _from_pil(image: Any, name: str) -> npt.NDArray[Any]:
+    array = np.asarray(image)
+    if image.mode == "F":
+        return array
     if image.mode.startswith("I"):
-        return np.asarray(image).astype(np.uint16)
-    return np.asarray(image if image.mode in ("L", "RGB") else image.convert("RGB"))
+        # Pillow opens 16-bit grey files in one of the "I" modes, some of them 32 bits wide
+        if array.min() < 0 or array.max() > 65535:
+            raise InputError(
+                f"{name} is a PIL image of mode {image.mode!r} from {array.min()} to {array.max()}; "
+                "expected 16 bits, 0 to 65535"
+            )
+        return array.astype(np.uint16)
+    return array if image.mode in ("L", "RGB") else np.asarray(image.convert("RGB"))
 
 
 def _from_array(array: npt.NDArray[Any], name: str) -> Tensor:
@@ -97,7 +105,7 @@ def _from_array(array: npt.NDArray[Any], name: str) -> Tensor:
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:
         raise InputError(f"{name} has shape {array.shape}; expected (H, W), (H, W, 1), (H, W, 3) or (H, W, 4)")
     array = array[:, :, :3]
-    if array.dtype == np.uint16:
+    if array.dtype.kind == "u" and array.dtype.itemsize == 2:
         array = array.astype(np.float32) / 65535
     elif np.issubdtype(array.dtype, np.floating):
         array = array.astype(np.float32)

@@ -1,4 +1,4 @@
-"""The training loss of CoEx, PSMNet and their kin: smooth L1 over the known pixels, summed over the outputs."""
+"""The training loss of CoEx, PSMNet and their kin: smooth L1 over the known pixels, averaged over the outputs."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float =
     Args:
         disparity: estimate, (B, H, W), pixels.
         truth: g, (B, H, W), pixels; 0, negative and non-finite values are unknown.
-        max_disparity: D; larger ground truth does not count.
+        max_disparity: D; ground truth from there up does not count.
 
     Returns:
         A scalar; 0, with a gradient of 0, where no pixel is known.
@@ -57,7 +57,7 @@ def stereo_loss(
         output: of a network in training mode.
         truth: (B, H, W), pixels; 0, negative and non-finite values are unknown.
         auxiliary_weights: one per auxiliary disparity; `StereoModel.auxiliary_weights` are those of the papers.
-        max_disparity: larger ground truth does not count.
+        max_disparity: ground truth from there up does not count.
 
     Raises:
         InputError: there are not as many weights as auxiliary disparities.

@@ -19,6 +19,7 @@ from stereokit.contracts import (
     input_multiple,
     regression_levels,
 )
+from stereokit.data.atomic import make_folder
 from stereokit.errors import ConfigError, InputError
 from stereokit.pretrained import load_folder, save_folder, saved_config
 from stereokit.regression.interpolation import bilinear_upsample
@@ -44,7 +45,22 @@ class StereoOutput(NamedTuple):
     """(B, D', H', W') of the best head, larger is better, of the padded input. None unless asked for."""
 
 
-class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="apache-2.0", tags=["stereo-matching"]):
+MODEL_CARD = """---
+{{ card_data }}
+---
+
+A stereo matching network, saved by stereokit: `config.json` says what it is built
+from, `model.safetensors` holds its weights. `stereokit.Predictor("this folder")` matches pairs of images with it.
+"""
+
+
+class StereoModel(
+    nn.Module,
+    ModelHubMixin,
+    library_name="stereokit",
+    tags=["stereo-matching"],
+    model_card_template=MODEL_CARD,
+):
     """Left and right images to disparity, through a backbone, a cost, an aggregation, a regression and an upsampler.
 
     `build_model` makes one by name. Images are RGB, uint8 or float in [0, 1], of any size from 32 x 32 up: they are
@@ -104,7 +120,7 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         self.max_disparity = max_disparity
         self.padding = padding
         self._config = config
-        self.multiple = input_multiple(backbone, aggregation)
+        self.multiple = input_multiple(backbone, aggregation, upsampler)
         self.pixels_per_level = max_disparity // regression_levels(max_disparity, upsampler.scale, upsampler)
         self.register_buffer("mean", per_channel("mean", mean), persistent=False)
         self.register_buffer("std", per_channel("std", std, positive=True), persistent=False)
@@ -173,6 +189,7 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         """
         # ahead of the mixin, which begins by deleting the configuration that is there
         saved_config(self)
+        make_folder(save_directory)
         return super().save_pretrained(save_directory, **hub_arguments)
 
     def _save_pretrained(self, save_directory: Path) -> None:
@@ -205,7 +222,7 @@ class StereoModel(nn.Module, ModelHubMixin, library_name="stereokit", license="a
         """The guides of the left half of the batch; those coarser than the backbone gives are averaged."""
         left = {stride: guide.chunk(2)[0] for stride, guide in guides.items()}
         coarsest = self.backbone.info.coarsest_guide
-        for stride in self.aggregation.guide_channels:
+        for stride in (*self.aggregation.guide_channels, *self.upsampler.guide_channels):
             if stride not in left:
                 left[stride] = F.avg_pool2d(left[coarsest], stride // coarsest)
         return left

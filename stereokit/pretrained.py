@@ -1,4 +1,4 @@
-"""Networks saved with their weights: a folder with `config.json` and `model.safetensors`."""
+"""Networks saved with their weights: a folder with `config.json`, `model.safetensors` and a `README.md` for the hub."""
 
 import json
 import os
@@ -10,7 +10,7 @@ import torch
 from huggingface_hub import hf_hub_download
 from huggingface_hub.errors import HFValidationError
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from stereokit._version import __version__
@@ -51,7 +51,7 @@ def save_folder(model: "StereoModel", folder: Path) -> None:
     """
     config = saved_config(model)
     with atomic_path(folder / WEIGHTS_NAME, overwrite=True) as temporary:
-        save_file({k: v.contiguous() for k, v in model.state_dict().items()}, temporary)
+        temporary.write_bytes(save({k: v.contiguous() for k, v in model.state_dict().items()}))
     with atomic_path(folder / CONFIG_NAME, overwrite=True) as temporary:
         temporary.write_text(json.dumps({"stereokit": __version__, "network": config}, indent=2) + "\n")
 
@@ -88,7 +88,10 @@ def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoModel":
 
 def _fetch(folder_or_id: str, name: str, hub_arguments: Mapping[str, Any]) -> str:
     if os.path.isdir(folder_or_id):
-        return os.path.join(folder_or_id, name)
+        path = os.path.join(folder_or_id, name)
+        if not os.path.isfile(path):
+            raise CheckpointError(f"the folder {folder_or_id!r} holds no saved network: {name} is not there")
+        return path
     try:
         return hf_hub_download(folder_or_id, name, **hub_arguments)
     except (OSError, HFValidationError) as error:
@@ -102,7 +105,7 @@ def load_state(model: torch.nn.Module, state: Mapping[str, Tensor], source: str)
     """Loads weights that must fit exactly.
 
     Raises:
-        CheckpointError: keys are missing or unknown, or have other shapes; each is named.
+        CheckpointError: keys are missing or unknown, have other shapes, or values that are not finite; each is named.
     """
     wanted = model.state_dict()
     problems = [
@@ -116,4 +119,7 @@ def load_state(model: torch.nn.Module, state: Mapping[str, Tensor], source: str)
     ]
     if problems:
         raise CheckpointError(f"{source!r} does not fit the network: {'; '.join(problems)}")
+    broken = [key for key, value in state.items() if not value.isfinite().all()]
+    if broken:
+        raise CheckpointError(f"{source!r} holds weights that are NaN or infinite: {', '.join(broken)}")
     model.load_state_dict(dict(state))

@@ -391,3 +391,29 @@ def test_a_model_may_be_anything():
 
     assert build_model("constant", value=3.0) == 3
     assert build_model({"name": "constant", "value": 2.0}) == 2
+
+
+def test_a_dict_without_a_name_changes_what_the_configuration_holds():
+    made = build_model("coex", regression={"name": "top_k", "k": 6, "test_k": 3}, guidance="addition", max_disparity=64)
+    again = build_model(made.config, regression={"test_k": 4}, guidance={})
+    assert again.config["regression"] == {"name": "top_k", "k": 6, "test_k": 4}
+    assert again.config["guidance"]["name"] == "addition"
+
+
+@pytest.mark.parametrize(
+    "override", [{"aggregation": {"guidance_at": "one"}}, {"cost": {"in_channels": 96}}, {"upsampler": {"scale": 4}}]
+)
+def test_what_the_network_decides_is_no_choice(override):
+    with pytest.raises(ConfigError, match="follows from the rest of the network"):
+        build_model("coex", **override)
+
+
+@pytest.mark.parametrize("model", [5, None, ["coex"]])
+def test_a_model_is_a_name_or_a_configuration(model):
+    with pytest.raises(ConfigError, match="is a name or a configuration"):
+        build_model(model)
+
+
+def test_models_of_a_fixed_image_size_are_refused():
+    with pytest.raises(ConfigError, match="one fixed size"):
+        build_model("coex", backbone="swin_tiny_patch4_window7_224")

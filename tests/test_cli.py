@@ -162,4 +162,4 @@ def test_convert_reports_what_it_dropped(capsys: pytest.CaptureFixture[str], tmp
     assert "cost_agg.conv_up.0.bn.weight" in said
     assert json.loads((tmp_path / "net/config.json").read_text())["network"]["regression"]["k"] == 3
     assert "exists already" in fails(capsys, *arguments)
-    assert "network='coex' would do" in fails(capsys, "convert", pilot, tmp_path / "other", "--model", "psmnet")
+    assert "--model coex" in fails(capsys, "convert", pilot, tmp_path / "other", "--model", "psmnet")

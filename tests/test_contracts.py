@@ -136,4 +136,4 @@ def test_levels_reach_the_regression_at_the_stride_of_the_logits(stride, levels)
 
 def test_every_stride_divides_the_input():
     chosen = blocks(backbone__multiple=6, aggregation__multiple=4, aggregation__guide_channels={4: 32, 32: 32})
-    assert input_multiple(chosen["backbone"], chosen["aggregation"]) == 96
+    assert input_multiple(chosen["backbone"], chosen["aggregation"], chosen["upsampler"]) == 96

@@ -60,6 +60,35 @@ def test_it_reads_a_saved_network(tmp_path: Path, coex: Predictor) -> None:
     np.testing.assert_array_equal(Predictor(tmp_path, "cpu")(image, image).disparity, coex(image, image).disparity)
     with pytest.raises(CheckpointError, match="nowhere"):
         Predictor(tmp_path / "nowhere")
+    with pytest.raises(CheckpointError, match=r"is read by stereokit\.load_published"):
+        Predictor(tmp_path / "model.safetensors")
+    with pytest.raises(CheckpointError, match="names a network without weights"):
+        Predictor("coex")
+    with pytest.raises(ConfigError, match="got NoneType"):
+        Predictor(None)  # type: ignore[arg-type]
+
+
+def test_a_saved_network_can_be_read_by_others(tmp_path: Path, coex: Predictor) -> None:
+    coex.model.save_pretrained(tmp_path)
+    (tmp_path / "plain").write_text("")
+    modes = {path.name: path.stat().st_mode for path in tmp_path.iterdir()}
+    assert len(set(modes.values())) == 1, modes
+
+
+def test_pixels_without_a_finite_disparity_are_counted(tmp_path: Path) -> None:
+    disparity = np.full((40, 60), 5, np.float32)
+    disparity[0, :3] = np.nan, np.inf, -np.inf
+    holes = DisparityResult(disparity, None, 0.1)
+    assert holes.invalid == 3
+    assert len(holes.save_all(tmp_path, "holes")) == 4
+
+
+def test_a_folder_that_can_not_be_made_is_refused(tmp_path: Path, coex: Predictor) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="file' can't be made"):
+        result().save_all(tmp_path / "file", "x")
+    with pytest.raises(InputError, match="file' can't be made"):
+        coex.model.save_pretrained(tmp_path / "file")
 
 
 def test_small_and_unequal_images_are_refused(coex: Predictor) -> None:

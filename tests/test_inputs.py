@@ -85,6 +85,21 @@ def test_what_is_no_image_is_refused(image: object, message: str) -> None:
         to_image_tensor(image)
 
 
+def test_pil_images_of_other_modes_keep_their_values() -> None:
+    values = np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4)
+    np.testing.assert_array_equal(to_image_tensor(Image.fromarray(values))[0, 0], values)
+    wide = Image.fromarray(np.array([[0, 65535], [7, 9]], np.int32))
+    assert torch.equal(to_image_tensor(wide)[0, 0], torch.tensor([[0, 65535], [7, 9]]) / 65535)
+    for value in (-1, 65536):
+        with pytest.raises(InputError, match="expected 16 bits"):
+            to_image_tensor(Image.fromarray(np.full((3, 4), value, np.int32)))
+
+
+def test_byte_order_does_not_matter() -> None:
+    values = np.array([[0, 65535], [7, 9]], np.uint16)
+    assert torch.equal(to_image_tensor(values.astype(">u2")), to_image_tensor(values))
+
+
 def test_unreadable_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.png").write_text("no image")
     for path in (tmp_path / "absent.png", tmp_path / "text.png", tmp_path):

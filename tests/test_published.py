@@ -145,7 +145,7 @@ def test_missing_and_unknown_keys_are_named(coex_state: dict[str, Tensor], tmp_p
 
 
 def test_another_network_is_recognised(coex_path: Path, tmp_path: Path) -> None:
-    with pytest.raises(CheckpointError, match="network='coex' would do"):
+    with pytest.raises(CheckpointError, match="network='coex'"):
         load_published(coex_path, "psmnet")
     torch.save({"a.weight": torch.zeros(1)}, tmp_path / "other.pth")
     with pytest.raises(CheckpointError, match=r"its keys begin \['a.weight'\]"):
@@ -154,7 +154,7 @@ def test_another_network_is_recognised(coex_path: Path, tmp_path: Path) -> None:
 
 def test_truncated_missing_and_foreign_files_are_refused(coex_path: Path, tmp_path: Path) -> None:
     data = coex_path.read_bytes()
-    for size in (0, 10, len(data) // 2, len(data) - 1):
+    for size in (0, 3, 10, len(data) // 2, len(data) - 1):
         (tmp_path / "cut.ckpt").write_bytes(data[:size])
         with pytest.raises(CheckpointError, match=r"cut\.ckpt"):
             load_published(tmp_path / "cut.ckpt")
@@ -175,8 +175,10 @@ def test_a_pickle_that_would_run_code_is_never_loaded(tmp_path: Path, monkeypatc
     torch.save({"state_dict": {"stereo.x": Evil()}}, "evil.ckpt")
     Path("plain.pkl").write_bytes(pickle.dumps(Evil()))
     for name in ("evil.ckpt", "plain.pkl"):
-        with pytest.raises(CheckpointError, match="run code"):
+        with pytest.raises(CheckpointError, match="run code") as refusal:
             load_published(name)
+        # torch's own message tells how to switch the protection off
+        assert "weights_only" not in str(refusal.value)
     assert not Path("ran").exists()
 
 

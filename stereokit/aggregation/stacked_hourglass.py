@@ -13,7 +13,7 @@ from stereokit.registry import AGGREGATIONS
 __all__ = ["StackedHourglass"]
 
 
-class Hourglass(nn.Module):
+class HourglassStage(nn.Module):
     """One of the three: two halvings and back, tied to its predecessors at half the size of the volume."""
 
     def __init__(self, channels: int, inner_guidance: tuple[GuidancePoint, GuidancePoint, GuidancePoint]) -> None:
@@ -88,8 +88,8 @@ class StackedHourglass(nn.Module):
         c = channels
         plan = GuidancePlan(guidance, guidance_at, stride, guide_channels)
 
-        def hourglass() -> Hourglass:
-            return Hourglass(c, (plan.at(2, 2 * c), plan.at(4, 2 * c), plan.at(2, 2 * c)))
+        def hourglass() -> HourglassStage:
+            return HourglassStage(c, (plan.at(2, 2 * c), plan.at(4, 2 * c), plan.at(2, 2 * c)))
 
         def head() -> nn.Sequential:
             last = nn.Conv3d(c, 1, 3, padding=1, bias=False)

@@ -20,7 +20,7 @@ class TimmEncoder(nn.Module):
         pretrained: load timm's weights for it.
 
     Raises:
-        ConfigError: the model lacks one of the strides.
+        ConfigError: the model lacks one of the strides, or takes one size of image only.
 
     Shape: (B, 3, H, W), sides multiples of 32, to {4: (B, C4, H/4, W/4), .., 32: (B, C32, H/32, W/32)}.
 
@@ -38,6 +38,8 @@ class TimmEncoder(nn.Module):
                 f"timm model {name!r} has no features at stride {', '.join(missing)} (it has "
                 f"{', '.join(map(str, index))}); a pyramid such as 'mobilenetv2_100' or 'resnet18' would do"
             )
+        if any(getattr(module, "strict_img_size", False) for module in model.modules()):
+            raise ConfigError(f"timm model {name!r} takes images of one fixed size; a convolutional one would do")
         self.index = {s: index[s] for s in STRIDES}
         self.channels = {s: int(model.feature_info.channels()[i]) for s, i in self.index.items()}
         self.channels_last = str(getattr(model, "output_fmt", "NCHW")).endswith("NHWC")

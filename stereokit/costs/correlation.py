@@ -83,7 +83,8 @@ def groupwise_correlation_volume(
     if normalise:
         volume = inner_products(_normalise(left), _normalise(right), levels)
     else:
-        volume = inner_products(left, right, levels) / (channels // groups)
+        # divided first: sums of products overflow in half precision
+        volume = inner_products(left / (channels // groups), right, levels)
     return rearrange(volume, "(b g) d h w -> b g d h w", b=batch)
 
 

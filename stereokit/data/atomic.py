@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stereokit.errors import InputError
 
-__all__ = ["atomic_path"]
+__all__ = ["atomic_path", "make_folder"]
 
 
 @contextmanager
@@ -48,6 +48,18 @@ def atomic_path(path: str | os.PathLike[str], *, overwrite: bool = False) -> Ite
         raise InputError(f"{os.fspath(path)!r} can't be written: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def make_folder(folder: str | os.PathLike[str]) -> None:
+    """Makes a folder and those above it, if need be.
+
+    Raises:
+        InputError: it can't be made.
+    """
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"the folder {os.fspath(folder)!r} can't be made: {error.strerror or error}") from error
 
 
 def _check_target(target: Path, given: str | os.PathLike[str], *, overwrite: bool) -> None:

@@ -50,6 +50,9 @@ def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> 
             f"{left!r} is a {kinds[0]} and {right!r} a {kinds[1]}; give two files, two folders or two patterns"
         )
     if kinds[0] == "file":
+        for path in (left, right):
+            if not os.path.exists(path):
+                raise InputError(f"{path!r} does not exist")
         return [ImagePair(Path(left).stem, Path(left), Path(right))]
     find = _in_folder if kinds[0] == "folder" else _by_pattern
     lefts, rights = find(left), find(right)
@@ -60,7 +63,7 @@ def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> 
     if alone:
         shown = ", ".join(alone[:5]) + (f" and {len(alone) - 5} more" if len(alone) > 5 else "")
         raise InputError(f"{len(alone)} images have no partner of the same name on the other side: {shown}")
-    return [ImagePair(key.strip("_") or lefts[key].stem, lefts[key], rights[key]) for key in sorted(lefts)]
+    return [ImagePair(key or lefts[key].stem, lefts[key], rights[key]) for key in sorted(lefts)]
 
 
 def _kind(where: str) -> str:
@@ -84,7 +87,8 @@ def _by_pattern(pattern: str) -> dict[str, Path]:
         path = Path(name)
         match = expression.fullmatch(name.replace(os.sep, "/"))
         if match and path.suffix.lower() in SUFFIXES and path.is_file():
-            _add(found, "_".join(text.strip("/").replace("/", "_") for text in match.groups()), path)
+            texts = (text.strip("/").replace("/", "_") for text in match.groups())
+            _add(found, "_".join(text for text in texts if text), path)
     return found
 
 

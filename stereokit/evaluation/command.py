@@ -11,13 +11,14 @@ from typing import Any
 
 from tqdm import tqdm
 
+from stereokit.data.atomic import make_folder
 from stereokit.data.datasets.dataset import StereoEntry
 from stereokit.data.datasets.opening import open_dataset
 from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.evaluate import Observer, evaluate
 from stereokit.evaluation.matcher import Matcher, NetworkMatcher
 from stereokit.evaluation.report import Report
-from stereokit.evaluation.results import make_folder, result_paths
+from stereokit.evaluation.results import result_paths
 from stereokit.evaluation.sgbm import SGBM_VARIANTS, SemiGlobalMatcher
 from stereokit.evaluation.submission import KittiSubmission
 from stereokit.evaluation.tables import format_dataset
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--data",
         action="append",
         required=True,
-        metavar="KIND[/SPLIT]:ROOT",
+        metavar="KIND[/SPLIT][,OPTION=VALUE]:ROOT",
         help="data set, such as kitti2012:/data/kitti2012; may be given several times",
     )
     parser.add_argument("--limit", type=int, metavar="N", help="only the first N pairs of each data set")

@@ -12,7 +12,7 @@ import torch
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry, StereoSample
 from stereokit.data.datasets.opening import open_dataset
 from stereokit.data.disparity_arrays import Disparity
-from stereokit.errors import ConfigError, InputError
+from stereokit.errors import ConfigError, InputError, StereoKitError
 from stereokit.evaluation.matcher import BatchMatcher, Matcher, describe_matcher
 from stereokit.evaluation.provenance import machine, versions
 from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
@@ -153,11 +153,19 @@ def _match(matcher: Matcher, samples: Sequence[StereoSample]) -> tuple[list[Disp
     """The disparities of samples of one size, and the seconds for all of them."""
     _synchronise()
     start = time.perf_counter()
-    if len(samples) > 1:
-        assert isinstance(matcher, BatchMatcher)
-        given = list(matcher.match_batch([s.left for s in samples], [s.right for s in samples]))
-    else:
-        given = [matcher(samples[0].left, samples[0].right)]
+    try:
+        if len(samples) > 1:
+            assert isinstance(matcher, BatchMatcher)
+            given = list(matcher.match_batch([s.left for s in samples], [s.right for s in samples]))
+        else:
+            given = [matcher(samples[0].left, samples[0].right)]
+    except StereoKitError as error:
+        raise InputError(f"pair {samples[0].name!r}: {error}") from error
+    except Exception as error:
+        # a matcher is anybody's function
+        raise InputError(
+            f"pair {samples[0].name!r}: the matcher failed with {type(error).__name__}: {error}"
+        ) from error
     # A tensor on a device counts when it has arrived in memory.
     arrays = [_to_array(prediction) for prediction in given]
     _synchronise()

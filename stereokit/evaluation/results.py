@@ -8,11 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from stereokit.data.atomic import atomic_path
-from stereokit.errors import InputError
+from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.inference import check_free
 
-__all__ = ["DatasetResult", "Evaluation", "Metrics", "PairResult", "make_folder", "result_paths"]
+__all__ = ["DatasetResult", "Evaluation", "Metrics", "PairResult", "result_paths"]
 
 Metrics: TypeAlias = dict[str, float | int | None]
 """Results by the names of `StereoMetrics.compute`."""
@@ -141,18 +140,6 @@ def result_paths(folder: str | os.PathLike[str]) -> list[Path]:
     ['evaluation.json', 'datasets.csv', 'pairs.csv']
     """
     return [Path(folder) / name for name in ("evaluation.json", "datasets.csv", "pairs.csv")]
-
-
-def make_folder(folder: str | os.PathLike[str]) -> None:
-    """Makes a folder and those above it, if need be.
-
-    Raises:
-        InputError: it can't be made.
-    """
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"the folder {os.fspath(folder)!r} can't be made: {error.strerror or error}") from error
 
 
 def _of_one_image(metrics: Metrics) -> Metrics:

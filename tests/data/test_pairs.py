@@ -16,9 +16,17 @@ def touch(*paths: Path) -> None:
         path.touch()
 
 
-def test_two_files_are_one_pair_whatever_their_names() -> None:
-    (pair,) = match_pairs("a/first.png", "b/second.jpg")
-    assert (pair.name, pair.left, pair.right) == ("first", Path("a/first.png"), Path("b/second.jpg"))
+def test_two_files_are_one_pair_whatever_their_names(tmp_path: Path) -> None:
+    touch(tmp_path / "a/first.png", tmp_path / "b/second.jpg")
+    (pair,) = match_pairs(tmp_path / "a/first.png", tmp_path / "b/second.jpg")
+    assert (pair.name, pair.left, pair.right) == ("first", tmp_path / "a/first.png", tmp_path / "b/second.jpg")
+    with pytest.raises(InputError, match=r"third\.png' does not exist"):
+        match_pairs(tmp_path / "a/first.png", tmp_path / "b/third.png")
+
+
+def test_pairs_have_names_of_their_own(tmp_path: Path) -> None:
+    touch(*(tmp_path / f"{side}{name}.png" for side in "LR" for name in ("a", "a_", "c")))
+    assert [pair.name for pair in match_pairs(tmp_path / "L*.png", tmp_path / "R*.png")] == ["a", "a_", "c"]
 
 
 @given(names)

@@ -87,7 +87,7 @@ class GuidancePlan:
         guide_channels: of the guides at hand, by stride.
 
     Raises:
-        ConfigError: another placement, or guidance where there are no guides.
+        ConfigError: another placement.
 
     >>> from stereokit.aggregation.guidance import GCE
     >>> plan = GuidancePlan(GCE, "one", stride=4, guide_channels={4: 96})

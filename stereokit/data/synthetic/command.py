@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from stereokit.data.atomic import make_folder
 from stereokit.data.disparity_arrays import PathLike
 from stereokit.data.images import write_image
 from stereokit.data.pfm import write_pfm
@@ -60,7 +61,7 @@ def write_scenes(
             assert disparity is not None
             place = Path("A", f"{sequence:04d}", view, f"{frame:04d}")
             for path in (images / place, disparities / place):
-                _make_folder(path.parent)
+                make_folder(path.parent)
             write_pfm((disparities / place).with_suffix(".pfm"), disparity)
             write_image((images / place).with_suffix(".png"), image)
 
@@ -77,10 +78,3 @@ def run_synth(options: argparse.Namespace) -> None:
     write_scenes(scenes, options.out, split=options.split, progress=lambda numbers: tqdm(numbers, unit="pair"))
     kind = "sceneflow" if options.split == "test" else "sceneflow/train"
     print(f"wrote {len(scenes)} pairs; read them as {kind}:{options.out}")
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{os.fspath(folder)!r} can't be made: {error.strerror or error}") from error
