@@ -21,7 +21,9 @@ from stereokit import (
     list_models,
 )
 from stereokit.aggregation.guidance import GuidancePoint, NoGuidance
+from stereokit.builder import compose
 from stereokit.models.ablation import ABLATION
+from stereokit.models.coex import RECIPE
 from stereokit.registry import COSTS, MODELS
 from stereokit.regression import BilinearUpsampler, TrilinearUpsampler
 from tests.backbones.test_encoder import ENCODERS
@@ -330,6 +332,17 @@ def test_preprocessing_is_an_override():
     assert model.mean.shape == (3, 1, 1)
     assert (model.config["mean"], model.config["std"], model.config["padding"]) == ([0, 0, 0], [1, 1, 1], "zeros")
     assert build_model(model.config).config == model.config
+
+
+def test_a_recipe_sets_arguments_that_an_override_may_leave():
+    recipe = {**RECIPE, "regression": {"name": "top_k", "k": 5, "test_k": 3}, "upsampler": {"name": "bilinear"}}
+    model = compose(recipe, {"cost": {"groupwise_correlation": {"groups": 3}}}, {"regression": {"test_k": 4}})
+    assert (model.regression.k, model.regression.test_k) == (5, 4)
+    other = compose(recipe, {"cost": {"groupwise_correlation": {"groups": 3}}}, {"cost": "groupwise_correlation"})
+    assert (other.cost.groups, other.regression.test_k) == (3, 3)
+    # another name is another component: what the recipe says about its own does not carry over
+    projected = {**recipe, "cost": {"name": "correlation", "projection": [8, 8]}}
+    assert compose(projected, {}, {"cost": "concatenation"}).config["cost"]["projection"] is None
 
 
 def test_recipes_are_functions():

@@ -57,17 +57,23 @@ def test_gradients_are_right(guidance_at):
     assert_gradients_are_right(aggregation.eval(), torch.randn(1, 1, 8, 16, 8), guides)
 
 
-def test_skips_carry_the_finer_scales():
+def test_skips_join_the_scales():
     aggregation = hourglass().eval()
-    volume = torch.randn(1, 1, 8, 16, 16)
-    (whole,) = aggregation(volume, {})
-    for scale in (aggregation.down3, aggregation.up3, aggregation.up2):
-        kept = scale.forward
-        scale.forward = lambda *inputs, kept=kept: torch.zeros_like(kept(*inputs))
-        (without,) = aggregation(volume, {})
-        assert not torch.equal(without, whole)
-        scale.forward = kept
-    assert_close(aggregation(volume, {})[0], whole)
+    seen = {}
+    for name in ("down1", "down2", "down3", "up3", "up2"):
+        module = getattr(aggregation, name)
+        module.register_forward_hook(lambda _, inputs, output, name=name: seen.update({name: (inputs, output)}))
+    aggregation(torch.randn(1, 1, 8, 16, 16), {})
+    for up, coarse, skip in (("up3", "down3", "down2"), ("up2", "up3", "down1")):
+        assert seen[up][0][0] is seen[coarse][1]
+        assert seen[up][0][1] is seen[skip][1]
+
+
+def test_one_step_up_merges_its_skip():
+    up = hourglass().eval().up3
+    volume, skip = torch.randn(1, 5, 2, 3, 3), torch.randn(1, 4, 4, 5, 6)
+    joined = torch.cat((up.up(volume)[..., :5, :], skip), 1)
+    assert_close(up(volume, skip, {}), up.convs(up.merge(joined)))
 
 
 def test_every_weight_takes_part():

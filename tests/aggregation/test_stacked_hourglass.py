@@ -88,15 +88,43 @@ def test_each_head_adds_to_the_one_before():
 
 
 def test_hourglasses_are_residual():
-    """An hourglass whose last layer is silent leaves the volume that enters the first one."""
     aggregation = with_running_statistics(stacked())
-    for hourglass in (aggregation.hourglass1, aggregation.hourglass2, aggregation.hourglass3):
-        nn.init.zeros_(hourglass.conv6[1].weight)
-    for head in (aggregation.head2, aggregation.head3):
-        head.load_state_dict(aggregation.head1.state_dict())
-    one, two, three = aggregation(torch.randn(1, 3, 4, 8, 8), {})
-    assert_close(two, 2 * one)
-    assert_close(three, 3 * one)
+    hourglasses = aggregation.hourglass1, aggregation.hourglass2, aggregation.hourglass3
+    entered, left, judged = [], [], []
+    for hourglass in hourglasses:
+        hourglass.register_forward_pre_hook(lambda _, inputs: entered.append(inputs[0]))
+        hourglass.register_forward_hook(lambda _, inputs, output: left.append(output[0]))
+    for head in (aggregation.head1, aggregation.head2, aggregation.head3):
+        head.register_forward_pre_hook(lambda _, inputs: judged.append(inputs[0]))
+    aggregation(torch.randn(1, 3, 4, 8, 8), {})
+    # each adds to the volume that enters the first one
+    for output, total in zip(left, judged, strict=True):
+        assert_close(total, output + entered[0])
+    assert entered[1] is judged[0]
+    assert entered[2] is judged[1]
+
+
+def test_the_second_pair_is_residual():
+    aggregation = stacked().eval()
+    nn.init.zeros_(aggregation.pair1[1][1].weight)
+    volume, entered = torch.randn(1, 3, 4, 8, 8), []
+    aggregation.hourglass1.register_forward_pre_hook(lambda _, inputs: entered.append(inputs[0]))
+    aggregation(volume, {})
+    assert_close(entered[0], aggregation.pair0(volume))
+
+
+@pytest.mark.parametrize("tied", [(), ("pre",), ("post",), ("pre", "post")])
+def test_one_hourglass_adds_what_it_is_given(tied):
+    hourglass = stacked().eval().hourglass1
+    x = torch.randn(1, 2, 4, 6, 6)
+    given = {name: torch.randn(1, 4, 2, 3, 3) for name in tied}
+    output, pre, post = hourglass(x, {}, **given)
+    expected_pre = (hourglass.conv2(hourglass.conv1(x)) + given.get("post", 0)).relu()
+    up = hourglass.conv5(hourglass.conv4(hourglass.conv3(expected_pre)))[..., :3, :3]
+    expected_post = (up + given.get("pre", expected_pre)).relu()
+    assert_close(pre, expected_pre)
+    assert_close(post, expected_post)
+    assert_close(output, hourglass.conv6(expected_post))
 
 
 def test_hourglasses_are_tied_to_their_predecessors():
