@@ -23,6 +23,7 @@ from stereokit.model import MIN_SIZE, StereoModel
 from stereokit.published import NETWORKS, ConversionReport, convert_published
 from stereokit.registry import REGISTRIES, list_components
 from stereokit.summary import model_summary
+from stereokit.training import command as training_command
 
 __all__ = ["main"]
 
@@ -85,6 +86,11 @@ def _parser() -> argparse.ArgumentParser:
     evaluation_command.add_arguments(evaluation)
     _add_published_options(evaluation)
     evaluation.set_defaults(run=lambda options: evaluation_command.run(options, _load_network))
+
+    training = commands.add_parser("train", help="train a network by a recipe")
+    training_command.add_arguments(training)
+    _add_published_options(training)
+    training.set_defaults(run=lambda options: training_command.run(options, _load_network))
 
     data = commands.add_parser("data", help="look at a data set on disk")
     jobs = data.add_subparsers(dest="job", required=True, metavar="JOB")

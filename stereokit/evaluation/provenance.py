@@ -3,8 +3,10 @@
 import hashlib
 import os
 import platform
+import subprocess
 from collections.abc import Mapping
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,7 +15,7 @@ from torch import Tensor
 from stereokit._version import __version__
 from stereokit.errors import InputError
 
-__all__ = ["file_sha256", "machine", "state_sha256", "versions"]
+__all__ = ["commit", "file_sha256", "machine", "state_sha256", "versions"]
 
 PACKAGES = ("torch", "numpy", "opencv-python-headless", "opencv-python", "timm", "einops", "safetensors")
 
@@ -78,6 +80,21 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return found
+
+
+def commit() -> str | None:
+    """The commit of the source tree that this library is run from, "-dirty" behind it if files differ; None if it is
+    installed."""
+    source = Path(__file__).parents[2]
+    if not (source / ".git").exists():
+        return None
+    git = ["git", "-C", str(source)]
+    try:
+        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
+        changed = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return f"{head}-dirty" if changed.strip() else head
 
 
 def _processor() -> str:

@@ -1,0 +1,200 @@
+"""The network, its loss and its optimiser, as Lightning runs them."""
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from lightning.pytorch import LightningModule
+from torch import Tensor, nn
+
+from stereokit.errors import StereoKitError
+from stereokit.losses import stereo_loss
+from stereokit.metrics import StereoMetrics
+from stereokit.model import StereoModel, StereoOutput
+from stereokit.training.recipe import Recipe
+from stereokit.training.samples import Batch
+
+__all__ = ["StereoTraining", "TrainingError"]
+
+MOST_BROKEN_STEPS = 20
+
+
+class TrainingError(StereoKitError):
+    """Training that can't go on."""
+
+
+class StereoTraining(LightningModule):
+    """One training step, one validation step, and what they hang on.
+
+    The learning rate follows the recipe's schedule over the steps of the run or, with `minutes`, over the wall-clock
+    time spent in training. A step whose loss or gradient is not finite changes neither weights nor batch statistics.
+
+    Args:
+        model: to train.
+        recipe: what to do.
+        steps: of the whole run.
+        minutes: wall-clock time of the whole run, over all its resumptions; None for as long as the steps take.
+        validation: name of each validation set, in the order of the validation loaders.
+        compile: train through `torch.compile`.
+
+    Attributes:
+        pairs_seen: training pairs so far, over all processes.
+    """
+
+    def __init__(
+        self,
+        model: StereoModel,
+        recipe: Recipe,
+        *,
+        steps: int,
+        minutes: float | None = None,
+        validation: tuple[str, ...] = (),
+        compile: bool = False,
+    ) -> None:
+        super().__init__()
+        self.model = model
+        self.recipe = recipe
+        self.steps = steps
+        self.minutes = minutes
+        self.validation = validation
+        self.compile_network = compile
+        # in a list, so that it is no second submodule
+        self._network: list[nn.Module] = [model]
+        self.pairs_seen = 0
+        self.broken_steps = 0
+        self._broken_in_a_row = 0
+        self._seconds_before = 0.0
+        self._started: float | None = None
+        self._metrics: list[StereoMetrics] = []
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time spent in training, validation included, over all resumptions."""
+        return self._seconds_before + (0.0 if self._started is None else time.monotonic() - self._started)
+
+    @property
+    def progress(self) -> float:
+        """From 0 at the start to 1 at the end."""
+        done = self.trainer.global_step / self.steps
+        if self.minutes is not None:
+            # all processes go by the clock of the first
+            done = max(done, self.trainer.strategy.broadcast(self.seconds) / (60 * self.minutes))
+        return min(done, 1.0)
+
+    def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
+        """The network."""
+        output: StereoOutput = self._network[0](left, right)
+        return output
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """Adam; `on_train_batch_start` sets its learning rate."""
+        optimisation = self.recipe.optimisation
+        return torch.optim.Adam(self.parameters(), lr=optimisation.learning_rate, betas=optimisation.betas)
+
+    def on_train_start(self) -> None:
+        """Starts the clock."""
+        self._started = time.monotonic()
+        if self.compile_network:
+            self._network = [torch.compile(self.model)]  # type: ignore[list-item]
+
+    def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
+        """Sets the learning rate, and ends the run when its time is over."""
+        progress = self.progress
+        rate = self.recipe.optimisation.learning_rate * self.recipe.schedule.learning_rate_factor(progress)
+        for group in self.optimizers().param_groups:  # type: ignore[union-attr]
+            group["lr"] = rate
+        if progress >= 1:
+            self.trainer.should_stop = True
+        self.log("learning_rate", rate)
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """The loss of a batch.
+
+        With several processes, each mean over known pixels is weighted by how many of them the process has, so that
+        the mean of the gradients is that of one process with the joint batch.
+        """
+        before = [buffer.clone() for buffer in self._batch_statistics()]
+        output = self(batch["left"], batch["right"])
+        truth = batch["disparity"]
+        ceiling = math.inf if self.recipe.loss.max_disparity is None else self.recipe.loss.max_disparity
+        loss = stereo_loss(output, truth, auxiliary_weights=self.model.auxiliary_weights, max_disparity=ceiling)
+        if self.trainer.world_size > 1:
+            known = ((truth > 0) & (truth < ceiling)).sum().float()
+            loss = loss * known / self.all_gather(known).mean().clamp(min=1)
+        if not loss.isfinite():
+            for buffer, value in zip(self._batch_statistics(), before, strict=True):
+                buffer.copy_(value)
+        self.pairs_seen += len(truth) * self.trainer.world_size
+        self.log("loss", loss, prog_bar=True)
+        self.log("pairs_seen", float(self.pairs_seen))
+        return loss
+
+    def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
+        """Leaves out a step whose gradient is not finite.
+
+        Raises:
+            TrainingError: too many in a row.
+        """
+        gradients = [p.grad for p in self.parameters() if p.grad is not None]
+        if torch.stack(torch._foreach_norm(gradients)).isfinite().all():
+            self._broken_in_a_row = 0
+            return
+        self.broken_steps += 1
+        self._broken_in_a_row += 1
+        for parameter in self.parameters():
+            parameter.grad = None
+        self.log("broken_steps", float(self.broken_steps))
+        if self._broken_in_a_row >= MOST_BROKEN_STEPS:
+            raise TrainingError(
+                f"{self._broken_in_a_row} steps in a row, up to step {self.trainer.global_step}, had no finite loss or "
+                "gradient; a smaller learning rate, --precision 32, or another look at the data would do "
+                "(stereokit data check)"
+            )
+
+    def on_validation_epoch_start(self) -> None:
+        """Begins to count."""
+        self._metrics = [StereoMetrics(max_disparity=self.recipe.loss.max_disparity) for _ in self.validation]
+
+    def validation_step(self, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> Tensor:
+        """Counts the errors of a pair, and gives its disparity for the pictures."""
+        disparity = self.model(batch["left"], batch["right"]).disparity
+        self._metrics[dataloader_idx].update(disparity, batch["disparity"])
+        return disparity
+
+    def on_validation_epoch_end(self) -> None:
+        """Logs the errors of each set, and their mean over the sets."""
+        means: dict[str, list[float]] = {"bad_3": [], "epe": []}
+        for name, counted in zip(self.validation, self._metrics, strict=True):
+            if self.trainer.world_size > 1:
+                counted = counted.merged_over_processes()
+            result = counted.compute()
+            for metric, values in means.items():
+                value = result[metric]
+                if value is not None:
+                    values.append(float(value))
+                    self.log(f"{name}/{metric}", float(value))
+        for metric, values in means.items():
+            if values:
+                self.log(f"validation/{metric}", sum(values) / len(values), prog_bar=True)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """What the run needs besides Lightning's own state."""
+        checkpoint["stereokit"] = {
+            "seconds": self.seconds,
+            "pairs_seen": self.pairs_seen,
+            "broken_steps": self.broken_steps,
+        }
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """The reverse of `on_save_checkpoint`."""
+        state = checkpoint["stereokit"]
+        self._seconds_before = state["seconds"]
+        self.pairs_seen = state["pairs_seen"]
+        self.broken_steps = state["broken_steps"]
+
+    def _batch_statistics(self) -> Iterator[Tensor]:
+        for module in self.model.modules():
+            if isinstance(module, nn.modules.batchnorm._BatchNorm):
+                yield from module.buffers(recurse=False)

@@ -1,0 +1,76 @@
+"""Pictures of validation pairs while a network learns."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.loggers import TensorBoardLogger
+from torch import Tensor
+
+from stereokit.data.atomic import make_folder
+from stereokit.data.images import write_image
+from stereokit.training.samples import Batch
+from stereokit.viz import colorize, error_picture, robust_range
+
+__all__ = ["ValidationPictures", "picture"]
+
+
+def picture(left: Tensor, truth: Tensor, disparity: Tensor) -> npt.NDArray[np.uint8]:
+    """Left image over its disparity, ground truth over the error, RGB.
+
+    Args:
+        left: (3, H, W), uint8, or float in [0, 1].
+        truth: (H, W), NaN where unknown.
+        disparity: (H, W).
+
+    >>> import torch
+    >>> picture(torch.zeros(3, 32, 48), torch.ones(32, 48), torch.ones(32, 48)).shape
+    (64, 96, 3)
+    """
+    image = left.permute(1, 2, 0).cpu().numpy()
+    if image.dtype != np.uint8:
+        image = np.rint(image * 255).astype(np.uint8)
+    known, estimate = truth.cpu().numpy(), disparity.float().cpu().numpy()
+    span = robust_range(known if np.isfinite(known).any() else estimate)
+    tiles = [
+        [image, colorize(known, value_range=span)],
+        [colorize(estimate, value_range=span), error_picture(estimate, known)],
+    ]
+    return np.concatenate([np.concatenate(row, axis=1) for row in tiles])
+
+
+class ValidationPictures(Callback):
+    """Writes pictures of the first pairs of each validation set, to a folder and to TensorBoard.
+
+    Args:
+        folder: for SET/PAIR_STEP.png.
+        count: pairs of each set.
+    """
+
+    def __init__(self, folder: Path, count: int = 4) -> None:
+        self.folder = folder
+        self.count = count
+
+    def on_validation_batch_end(
+        self,
+        trainer: Trainer,
+        pl_module: LightningModule,
+        outputs: Any,
+        batch: Batch,  # type: ignore[override]
+        batch_idx: int,
+        dataloader_idx: int = 0,
+    ) -> None:
+        """A picture of the pair."""
+        if batch_idx >= self.count or not trainer.is_global_zero or trainer.sanity_checking:
+            return
+        shown = picture(batch["left"][0], batch["disparity"][0], outputs[0])
+        name = pl_module.validation[dataloader_idx]
+        folder = self.folder / str(name).replace("/", "_")
+        make_folder(folder)
+        write_image(folder / f"{batch_idx}_{trainer.global_step:07d}.png", shown, overwrite=True)
+        for logger in trainer.loggers:
+            if isinstance(logger, TensorBoardLogger):
+                logger.experiment.add_image(f"{name}/{batch_idx}", shown, trainer.global_step, dataformats="HWC")

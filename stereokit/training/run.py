@@ -1,0 +1,305 @@
+"""A training run, from a recipe to a saved network."""
+
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch import LightningModule, Trainer, seed_everything
+from lightning.pytorch.callbacks import Callback, Checkpoint, ModelCheckpoint
+from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from lightning.pytorch.utilities import rank_zero_only
+
+from stereokit.builder import build_model
+from stereokit.data.atomic import atomic_path, make_folder
+from stereokit.data.datasets import open_dataset
+from stereokit.data.datasets.dataset import StereoSample
+from stereokit.data.synthetic import SyntheticScenes
+from stereokit.errors import CheckpointError, ConfigError, InputError
+from stereokit.evaluation.provenance import commit, machine, state_sha256, versions
+from stereokit.model import StereoModel
+from stereokit.training.averaging import AveragedWeights
+from stereokit.training.data import StereoData, usual_workers
+from stereokit.training.module import StereoTraining
+from stereokit.training.pictures import ValidationPictures
+from stereokit.training.recipe import Recipe
+from stereokit.training.samples import TrainingSamples
+
+__all__ = ["Outcome", "train"]
+
+VALIDATION_SEED = 1_000_003
+VALIDATION_SCENES = 16
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes:
+        model: with the averaged weights, on the CPU, in eval mode.
+        network: the folder that it is saved in.
+        record: what `training.json` holds.
+    """
+
+    model: StereoModel
+    network: Path
+    record: Mapping[str, Any]
+
+
+class _LastCheckpoint(Checkpoint):
+    """Writes the state of the run to one file every so many steps, and behind the last one."""
+
+    def __init__(self, path: Path, every: int) -> None:
+        self.path = path
+        self.every = every
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        over = trainer.should_stop or trainer.global_step >= trainer.max_steps
+        if over or trainer.global_step % self.every == 0:
+            trainer.save_checkpoint(self.path)
+
+
+def train(
+    recipe: Recipe,
+    out: str | Path,
+    *,
+    data: Sequence[str] = (),
+    validation: Sequence[str] = (),
+    textures: str | Path | None = None,
+    model: StereoModel | None = None,
+    seed: int = 0,
+    minutes: float | None = None,
+    resume: bool = False,
+    accelerator: str = "auto",
+    devices: int | str = "auto",
+    nodes: int = 1,
+    precision: str = "32",
+    compile: bool = False,
+    workers: int | None = None,
+    checkpoint_every: int = 200,
+    validate_every: int = 1000,
+    command: str | None = None,
+) -> Outcome:
+    """Trains a network and saves it.
+
+    Everything goes into one folder: `run.json` (what was asked for), `checkpoints/last.ckpt` and `best.ckpt` (by
+    bad-3 in validation), `logs/` (CSV and TensorBoard), `pictures/` of validation pairs, and in the end `network/`
+    (for `Predictor` and `from_pretrained`) with `training.json`.
+
+    Killed at any moment and started again with `resume`, it goes on from the last checkpoint and comes to the same
+    result as an unbroken run, to within floating point.
+
+    Args:
+        recipe: what to do, see `load_recipe`.
+        out: the folder.
+        data: data sets to train on, "KIND:ROOT", see `open_dataset`; without any, a recipe for rendered scenes renders.
+        validation: data sets to validate on; without any, a recipe for rendered scenes renders some of another seed.
+        textures: folder of photographs that rendered scenes use besides procedural textures.
+        model: a network to go on from, in place of the recipe's own with random weights.
+        seed: of weights, order, augmentation and scenes.
+        minutes: wall-clock time for the whole run: the schedule is fitted into it. The steps of the recipe are still
+            the most.
+        resume: go on with the run that the folder holds; if it holds none yet, start it.
+        accelerator, devices, nodes, precision: as in `lightning.pytorch.Trainer`.
+        compile: train through `torch.compile`.
+        workers: processes that read and augment, for each training process.
+        checkpoint_every: steps between checkpoints.
+        validate_every: steps between validations.
+        command: the command line, for the record.
+
+    Raises:
+        InputError: data that can't be used, or a folder that holds a run already.
+        ConfigError: settings that do not go together, or other ones than those of the run to resume.
+        CheckpointError: the checkpoint can't be read.
+        TrainingError: losses stay infinite or NaN.
+    """
+    out = Path(out)
+    _check_counts(workers=workers, checkpoint_every=checkpoint_every, validate_every=validate_every, minutes=minutes)
+    samples, validation_sets = _open(recipe, data, validation, textures, seed)
+    steps = recipe.schedule.total_steps(samples.pairs)
+    asked = {
+        "recipe": recipe.to_dict(),
+        "seed": seed,
+        "data": list(data),
+        "textures": None if textures is None else str(textures),
+        "start": None if model is None else state_sha256(model.state_dict()),
+    }
+    last = out / "checkpoints" / "last.ckpt"
+    goes_on = resume and last.is_file()
+    if rank_zero_only.rank == 0:
+        _prepare_folder(out, asked, resume=resume, command=command)
+
+    seed_everything(seed, verbose=False)
+    network = model if model is not None else _new_network(recipe)
+    training = StereoTraining(
+        network, recipe, steps=steps, minutes=minutes, validation=tuple(validation_sets), compile=compile
+    )
+    callbacks: list[Callback] = [_LastCheckpoint(last, checkpoint_every)]
+    if recipe.averaging.kind != "none":
+        callbacks.append(AveragedWeights(recipe.averaging, lambda: training.progress))
+    if validation_sets:
+        callbacks += [
+            ValidationPictures(out / "pictures"),
+            ModelCheckpoint(last.parent, "best", monitor="validation/bad_3", enable_version_counter=False),
+        ]
+    processes = devices if isinstance(devices, int) else 1
+    trainer = Trainer(
+        accelerator=accelerator,
+        devices=devices,
+        num_nodes=nodes,
+        strategy="ddp" if processes * nodes > 1 else "auto",
+        precision=precision,  # type: ignore[arg-type]
+        sync_batchnorm=processes * nodes > 1 and torch.cuda.is_available() and accelerator != "cpu",
+        max_steps=steps,
+        max_epochs=1,
+        gradient_clip_val=recipe.optimisation.gradient_clip,
+        val_check_interval=min(validate_every, steps) if validation_sets else None,
+        check_val_every_n_epoch=None,
+        num_sanity_val_steps=0,
+        use_distributed_sampler=False,
+        log_every_n_steps=min(20, steps),
+        callbacks=callbacks,
+        logger=[CSVLogger(out / "logs", "csv"), TensorBoardLogger(out / "logs", "tensorboard")],
+        default_root_dir=out,
+        enable_model_summary=False,
+    )
+    loaders = StereoData(
+        samples,
+        batch=recipe.schedule.batch,
+        steps=steps,
+        validation=validation_sets,
+        workers=usual_workers(processes) if workers is None else workers,
+    )
+    with warnings.catch_warnings():
+        # a CPU's few cores are shared between network and loaders on purpose
+        warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+        try:
+            trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
+        except (RuntimeError, KeyError, EOFError) as error:
+            if goes_on and training.seconds == 0:
+                raise CheckpointError(f"the checkpoint {str(last)!r} can't be read: {error}") from error
+            raise
+        if trainer.interrupted:
+            raise KeyboardInterrupt
+        metrics = trainer.validate(training, loaders, verbose=False) if validation_sets else []
+    network.cpu().eval()
+    record = {
+        **asked,
+        "steps": trainer.global_step,
+        "pairs_seen": training.pairs_seen,
+        "broken_steps": training.broken_steps,
+        "seconds": round(training.seconds, 1),
+        "weights_sha256": state_sha256(network.state_dict()),
+        "validation": {key: value for found in metrics for key, value in found.items()},
+        **_circumstances(command),
+    }
+    if rank_zero_only.rank == 0:
+        network.save_pretrained(out / "network")
+        _write_json(out / "network" / "training.json", record)
+    return Outcome(network, out / "network", record)
+
+
+def _open(
+    recipe: Recipe, data: Sequence[str], validation: Sequence[str], textures: str | Path | None, seed: int
+) -> tuple[TrainingSamples, dict[str, Sequence[StereoSample]]]:
+    """What to train on, and what to validate on."""
+    rendered = not data and recipe.scenes is not None
+    if not data and not rendered:
+        raise InputError(f"recipe {recipe.name!r} trains on files: give --data {recipe.data or 'KIND:ROOT'}")
+    if textures is not None and not rendered:
+        raise ConfigError("textures are for rendered scenes; this run reads its pairs from files")
+    datasets: list[Any] = [open_dataset(spec) for spec in data]
+    sets: dict[str, Any] = {}
+    for spec in validation:
+        name = spec.partition(":")[0].partition(",")[0]
+        sets[name if name not in sets else f"{name}_{len(sets)}"] = open_dataset(spec)
+    if rendered:
+        settings: dict[str, Any] = dict(recipe.scenes or {})
+        settings["size"] = tuple(settings.get("size", (256, 512)))
+        try:
+            datasets = [SyntheticScenes(**settings, seed=seed, textures=textures)]
+            if not sets:
+                sets["synthetic"] = SyntheticScenes(
+                    **{**settings, "count": VALIDATION_SCENES}, seed=seed + VALIDATION_SEED, textures=textures
+                )
+        except TypeError as error:
+            raise ConfigError(f"recipe {recipe.name!r}, [scenes]: {error}") from error
+    return TrainingSamples(datasets, recipe.augmentation, seed=seed), sets
+
+
+def _new_network(recipe: Recipe) -> StereoModel:
+    options = dict(recipe.model)
+    network = build_model(options.pop("name"), **options)
+    if not isinstance(network, StereoModel):
+        raise ConfigError(f"recipe {recipe.name!r}: {recipe.model['name']!r} is not made of slots; train it by hand")
+    return network
+
+
+def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: str | None) -> None:
+    """Makes the folder of a new run, or sees that the one there is of the same run."""
+    record = out / "run.json"
+    if not record.exists():
+        if out.exists() and any(out.iterdir()):
+            raise InputError(f"the folder {str(out)!r} is not empty and holds no run; choose another --out")
+        make_folder(out / "checkpoints")
+        _write_json(record, {**asked, **_circumstances(command)})
+        return
+    if not resume:
+        raise InputError(f"{str(out)!r} holds a run already; go on with it by --resume, or choose another --out")
+    try:
+        before = json.loads(record.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"{str(record)!r} can't be read: {error}") from error
+    wanted = _settled(json.loads(json.dumps(asked)))
+    for key, value in _settled(before).items():
+        if key in wanted and wanted[key] != value:
+            raise ConfigError(
+                f"{str(out)!r} was started with {key} {value!r}, not {wanted[key]!r}; resume it with the same, or "
+                "choose another --out"
+            )
+
+
+def _settled(run: Mapping[str, Any]) -> dict[str, Any]:
+    """What can't change between the start of a run and its resumption: all but its length."""
+    recipe = dict(run["recipe"])
+    schedule = {key: value for key, value in recipe.pop("schedule").items() if key not in ("steps", "epochs")}
+    settled = {key: run[key] for key in ("seed", "data", "textures", "start")}
+    return {**settled, **recipe, **{f"schedule.{key}": value for key, value in schedule.items()}}
+
+
+def _circumstances(command: str | None) -> dict[str, Any]:
+    return {"command": command, "commit": commit(), "versions": versions(), "machine": machine()}
+
+
+def _write_json(path: Path, values: Mapping[str, Any]) -> None:
+    with atomic_path(path, overwrite=True) as temporary:
+        temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+
+
+def _check_counts(**values: float | None) -> None:
+    for name, value in values.items():
+        least = 0 if name == "workers" else 1
+        if value is not None and (value < least or (name == "minutes" and value <= 0)):
+            raise ConfigError(f"{name} is {value}; expected at least {least}")
+
+
+def with_length(recipe: Recipe, *, steps: int | None = None, batch: int | None = None) -> Recipe:
+    """The recipe with another number of steps, or another batch.
+
+    >>> from stereokit.training import load_recipe
+    >>> with_length(load_recipe("sceneflow"), steps=100).schedule.total_steps(35_454)
+    100
+    """
+    schedule = recipe.schedule
+    if steps is not None:
+        end = schedule.epochs or 1
+        milestones = tuple(milestone / end for milestone in schedule.milestones)
+        schedule = replace(schedule, steps=steps, epochs=None, milestones=milestones)
+    if batch is not None:
+        schedule = replace(schedule, batch=batch)
+    return replace(recipe, schedule=schedule)
