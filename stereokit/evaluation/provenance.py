@@ -84,7 +84,8 @@ def versions() -> dict[str, str]:
 
 def commit() -> str | None:
     """The commit of the source tree that this library is run from, "-dirty" behind it if files differ; None if it is
-    installed."""
+    installed.
+    """
     source = Path(__file__).parents[2]
     if not (source / ".git").exists():
         return None

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import torch
 from lightning.pytorch import LightningModule
@@ -20,12 +20,14 @@ __all__ = ["StereoTraining", "TrainingError"]
 
 MOST_BROKEN_STEPS = 20
 
+M = TypeVar("M", bound=nn.Module)
+
 
 class TrainingError(StereoKitError):
     """Training that can't go on."""
 
 
-def channels_last(model: nn.Module) -> nn.Module:
+def channels_last(model: M) -> M:
     """Puts the weights of all convolutions into the memory format with the faster kernels; values stay.
 
     >>> channels_last(nn.Conv3d(2, 4, 3)).weight.is_contiguous(memory_format=torch.channels_last_3d)
@@ -136,7 +138,8 @@ class StereoTraining(LightningModule):
         loss = stereo_loss(output, truth, auxiliary_weights=self.model.auxiliary_weights, max_disparity=ceiling)
         if self.trainer.world_size > 1:
             known = ((truth > 0) & (truth < ceiling)).sum().float()
-            loss = loss * known / self.all_gather(known).mean().clamp(min=1)
+            everywhere = cast(Tensor, self.all_gather(known))
+            loss = loss * known / everywhere.mean().clamp(min=1)
         if not loss.isfinite():
             for buffer, value in zip(self._batch_statistics(), before, strict=True):
                 buffer.copy_(value)

@@ -1,5 +1,6 @@
 """Pictures of validation pairs while a network learns."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +48,13 @@ class ValidationPictures(Callback):
 
     Args:
         folder: for SET/PAIR_STEP.png.
+        names: of the validation sets.
         count: pairs of each set.
     """
 
-    def __init__(self, folder: Path, count: int = 4) -> None:
+    def __init__(self, folder: Path, names: Sequence[str], count: int = 4) -> None:
         self.folder = folder
+        self.names = names
         self.count = count
 
     def on_validation_batch_end(
@@ -59,7 +62,7 @@ class ValidationPictures(Callback):
         trainer: Trainer,
         pl_module: LightningModule,
         outputs: Any,
-        batch: Batch,  # type: ignore[override]
+        batch: Batch,
         batch_idx: int,
         dataloader_idx: int = 0,
     ) -> None:
@@ -67,8 +70,8 @@ class ValidationPictures(Callback):
         if batch_idx >= self.count or not trainer.is_global_zero or trainer.sanity_checking:
             return
         shown = picture(batch["left"][0], batch["disparity"][0], outputs[0])
-        name = pl_module.validation[dataloader_idx]
-        folder = self.folder / str(name).replace("/", "_")
+        name = self.names[dataloader_idx]
+        folder = self.folder / name.replace("/", "_")
         make_folder(folder)
         write_image(folder / f"{batch_idx}_{trainer.global_step:07d}.png", shown, overwrite=True)
         for logger in trainer.loggers:

@@ -105,7 +105,10 @@ def train(
         minutes: wall-clock time for the whole run: the schedule is fitted into it. The steps of the recipe are still
             the most.
         resume: go on with the run that the folder holds; if it holds none yet, start it.
-        accelerator, devices, nodes, precision: as in `lightning.pytorch.Trainer`.
+        accelerator: "auto", "cpu", "gpu", .., as in `lightning.pytorch.Trainer`.
+        devices: how many on each machine, or "auto".
+        nodes: how many machines.
+        precision: "32", "bf16-mixed", "16-mixed", .., as in `lightning.pytorch.Trainer`.
         compile: train through `torch.compile`.
         workers: processes that read and augment, for each training process.
         checkpoint_every: steps between checkpoints.
@@ -131,7 +134,7 @@ def train(
     }
     last = out / "checkpoints" / "last.ckpt"
     goes_on = resume and last.is_file()
-    if rank_zero_only.rank == 0:
+    if _is_first_process():
         _prepare_folder(out, asked, resume=resume, command=command)
 
     seed_everything(seed, verbose=False)
@@ -144,7 +147,7 @@ def train(
         callbacks.append(AveragedWeights(recipe.averaging, lambda: training.progress))
     if validation_sets:
         callbacks += [
-            ValidationPictures(out / "pictures"),
+            ValidationPictures(out / "pictures", tuple(validation_sets)),
             ModelCheckpoint(last.parent, "best", monitor="validation/bad_3", enable_version_counter=False),
         ]
     processes = devices if isinstance(devices, int) else 1
@@ -198,7 +201,7 @@ def train(
         "validation": {key: value for found in metrics for key, value in found.items()},
         **_circumstances(command),
     }
-    if rank_zero_only.rank == 0:
+    if _is_first_process():
         network.save_pretrained(out / "network")
         _write_json(out / "network" / "training.json", record)
     return Outcome(network, out / "network", record)
@@ -270,6 +273,10 @@ def _settled(run: Mapping[str, Any]) -> dict[str, Any]:
     schedule = {key: value for key, value in recipe.pop("schedule").items() if key not in ("steps", "epochs")}
     settled = {key: run[key] for key in ("seed", "data", "textures", "start")}
     return {**settled, **recipe, **{f"schedule.{key}": value for key, value in schedule.items()}}
+
+
+def _is_first_process() -> bool:
+    return getattr(rank_zero_only, "rank", 0) == 0
 
 
 def _circumstances(command: str | None) -> dict[str, Any]:

@@ -179,8 +179,7 @@ class _Numbers(Sampler[list[int]]):
 
 def _collate(samples: list[Batch]) -> Batch:
     left, right, disparity = (
-        torch.cat([sample[part] for sample in samples])  # type: ignore[literal-required]
-        for part in ("left", "right", "disparity")
+        torch.cat([sample[part] for sample in samples]) for part in ("left", "right", "disparity")
     )
     return Batch(left=left, right=right, disparity=disparity)
 
