@@ -26,10 +26,12 @@ from stereokit.registry import (
     MODELS,
     REGRESSIONS,
     UPSAMPLERS,
+    WEIGHTS,
     list_components,
     list_models,
 )
 from stereokit.regression import SoftArgmin, SuperpixelUpsampler, TopKSoftArgmin
+from stereokit.weights import list_weights, load_weights
 
 __all__ = [
     "AGGREGATIONS",
@@ -40,6 +42,7 @@ __all__ = [
     "MODELS",
     "REGRESSIONS",
     "UPSAMPLERS",
+    "WEIGHTS",
     "AdditiveGuidance",
     "CheckpointError",
     "ConcatenationVolume",
@@ -68,7 +71,9 @@ __all__ = [
     "gcnet",
     "list_components",
     "list_models",
+    "list_weights",
     "load_published",
+    "load_weights",
     "psmnet",
     "stereo_loss",
 ]

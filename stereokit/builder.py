@@ -18,6 +18,7 @@ from stereokit.registry import (
     MODELS,
     REGRESSIONS,
     UPSAMPLERS,
+    WEIGHTS,
     Registry,
     suggest,
 )
@@ -68,11 +69,14 @@ class ModelConfig(TypedDict):
     padding: Literal["replicate", "zeros"]
 
 
-def build_model(model: str | Mapping[str, Any], **overrides: Any) -> Any:
+def build_model(model: str | Mapping[str, Any], *, pretrained: bool | str = False, **overrides: Any) -> Any:
     """Builds a registered network.
 
     Args:
-        model: a name, see `list_models`; or a whole configuration, such as the `config` of another network.
+        model: a name, see `list_models`; or a whole configuration, such as the `config` of another network. A name with
+            a tag, "coex.synthetic_v1", stands for the network with these weights, see `stereokit.list_weights`.
+        pretrained: True loads the network's usual weights, a tag such as "synthetic_v1" those; then the network is in
+            eval mode.
         overrides: for networks made of slots (`StereoModel`):
 
             - ``backbone``, ``cost``, ``guidance``, ``aggregation``, ``regression``, ``upsampler``: a component's name
@@ -89,7 +93,8 @@ def build_model(model: str | Mapping[str, Any], **overrides: Any) -> Any:
         The network; its weights are random unless said otherwise.
 
     Raises:
-        ConfigError: an unknown name or argument, or blocks that do not fit each other.
+        ConfigError: an unknown name or argument, blocks that do not fit each other, or weights that there are not.
+        CheckpointError: the weights do not fit the network with its overrides.
 
     >>> build_model("psmnet", guidance="gce", top_k=6).config["guidance_at"]
     'one'
@@ -97,7 +102,15 @@ def build_model(model: str | Mapping[str, Any], **overrides: Any) -> Any:
     32
     """
     if isinstance(model, str):
-        return MODELS.build(model, overrides)
+        weights = _weights_of(model, pretrained)
+        if weights is None:
+            return MODELS.build(model, overrides)
+        # built on this module
+        from stereokit.weights import load_weights
+
+        return load_weights(weights, **overrides)
+    if pretrained:
+        raise ConfigError("pretrained weights belong to a network's name, not to a configuration")
     if not isinstance(model, Mapping):
         raise ConfigError(f"a model is a name or a configuration, not {model!r}; {suggest('', MODELS.names())}")
     settings = dict(model)
@@ -112,6 +125,20 @@ def build_model(model: str | Mapping[str, Any], **overrides: Any) -> Any:
             override = {**settings[slot], **override}
         settings[slot] = override
     return MODELS.build(name, settings)
+
+
+def _weights_of(model: str, pretrained: bool | str) -> str | None:
+    """The name of the weights that were asked for."""
+    if model not in MODELS and model in WEIGHTS:
+        return model
+    if not pretrained:
+        return None
+    MODELS.get(model)
+    if isinstance(pretrained, str):
+        return f"{model}.{pretrained}"
+    from stereokit.weights import default_weights
+
+    return default_weights(model)
 
 
 def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any]) -> StereoModel:

@@ -21,9 +21,10 @@ from stereokit.evaluation import command as evaluation_command
 from stereokit.inference import Predictor, check_free, output_paths
 from stereokit.model import MIN_SIZE, StereoModel
 from stereokit.published import NETWORKS, ConversionReport, convert_published
-from stereokit.registry import REGISTRIES, list_components
+from stereokit.registry import MODELS, REGISTRIES, list_components
 from stereokit.summary import model_summary
 from stereokit.training import command as training_command
+from stereokit.weights import default_weights, list_weights, load_weights, read_manifest
 
 __all__ = ["main"]
 
@@ -75,7 +76,9 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("left", help="left image, folder, or quoted pattern")
     predict.add_argument("right", help="right image, folder, or quoted pattern")
     predict.add_argument("--model", help="name of the network that the weights are for (default: coex)")
-    predict.add_argument("--weights", help="folder of a saved network, or published checkpoint")
+    predict.add_argument(
+        "--weights", help="folder of a saved network, published checkpoint, or a name of stereokit list weights"
+    )
     _add_published_options(predict)
     predict.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     predict.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
@@ -180,13 +183,8 @@ def _check_data(options: argparse.Namespace) -> None:
 
 
 def _load_network(options: argparse.Namespace) -> StereoModel:
-    if options.weights is None:
-        name = options.model or "coex"
-        build_model(name)
-        raise CheckpointError(
-            f"the network {name!r} is untrained: no weights come with the library yet; "
-            "give --weights with the folder of a saved network or a published checkpoint"
-        )
+    if options.weights is None or options.weights in list_weights():
+        return _load_shipped(options)
     if not os.path.exists(options.weights):
         raise CheckpointError(f"the weights {options.weights!r} do not exist")
     if os.path.isdir(options.weights):
@@ -204,6 +202,23 @@ def _load_network(options: argparse.Namespace) -> StereoModel:
     said = "" if options.channel_order else ", as the authors' are (--channel-order rgb if these are not)"
     print(f"{options.weights}: {report.loaded} tensors, taken to be trained on {order} images{said}")
     return model
+
+
+def _load_shipped(options: argparse.Namespace) -> StereoModel:
+    network = options.model or "coex"
+    if options.weights is None:
+        MODELS.get(network)
+        try:
+            weights = default_weights(network)
+        except ConfigError as error:
+            raise CheckpointError(f"{error}; give --weights with a saved network or a published checkpoint") from error
+    else:
+        weights = options.weights
+        if options.model not in (None, read_manifest(weights)["network"]["name"]):
+            raise CheckpointError(f"{weights!r} are no weights of a {options.model}; leave out --model")
+    if options.channel_order is not None or options.top_k is not None:
+        raise ConfigError("--channel-order and --top-k are for published checkpoints; give --weights with one")
+    return load_weights(weights)
 
 
 def _read_published(options: argparse.Namespace, path: str, network: str) -> tuple[StereoModel, ConversionReport]:

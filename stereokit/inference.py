@@ -17,8 +17,9 @@ from stereokit.data.images import write_image
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inputs import ImageLike, to_pair
 from stereokit.model import MIN_SIZE, StereoModel
-from stereokit.registry import MODELS
+from stereokit.registry import MODELS, WEIGHTS
 from stereokit.viz import picture_with_scale
+from stereokit.weights import default_weights, load_weights
 
 __all__ = ["DisparityResult", "Predictor", "choose_device"]
 
@@ -129,15 +130,16 @@ class Predictor:
     """A network made ready to be used on single pairs.
 
     Args:
-        model: a network, or the folder or hub id of a saved one. It is moved to the device and put into eval mode.
+        model: a network; or the name of one that the library has weights for ("coex"), the name of weights
+            ("coex.synthetic_v1"), or the folder or hub id of a saved network. It is moved to the device and put into
+            eval mode.
         device: "auto" (a GPU if there is one), or what `torch.device` takes.
 
     Raises:
         ConfigError: the device is unknown or absent.
         CheckpointError: there is no saved network at this place.
 
-    >>> from stereokit import build_model
-    >>> predict = Predictor(build_model("coex", max_disparity=64), device="cpu")
+    >>> predict = Predictor("coex", device="cpu")
     >>> left = right = np.zeros((50, 70, 3), np.uint8)
     >>> predict(left, right).disparity.shape
     (50, 70)
@@ -173,12 +175,14 @@ class Predictor:
 
 def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
     if not isinstance(place, str | os.PathLike):
-        raise ConfigError(f"a predictor takes a network, or the place of a saved one; got {type(place).__name__}")
+        raise ConfigError(f"a predictor takes a network, or the name or place of one; got {type(place).__name__}")
     name = os.fspath(place)
     if os.path.isfile(name):
         raise CheckpointError(f"{name!r} is a file; a published checkpoint is read by stereokit.load_published")
-    if name in MODELS and not os.path.isdir(name):
-        raise CheckpointError(f"{name!r} names a network without weights; give the folder of a saved one")
+    if not os.path.isdir(name) and name in WEIGHTS:
+        return load_weights(name)
+    if not os.path.isdir(name) and name in MODELS:
+        return load_weights(default_weights(name))
     return StereoModel.from_pretrained(name)
 
 

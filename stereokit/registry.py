@@ -26,6 +26,7 @@ __all__ = [
     "MODELS",
     "REGRESSIONS",
     "UPSAMPLERS",
+    "WEIGHTS",
     "Registry",
     "list_components",
     "list_models",
@@ -169,15 +170,17 @@ AGGREGATIONS = Registry("aggregations", kind="aggregation")
 REGRESSIONS = Registry("regressions", kind="regression")
 UPSAMPLERS = Registry("upsamplers", kind="upsampler")
 MODELS = Registry("models", kind="model")
+WEIGHTS = Registry("weights", kind="weights")
 
-REGISTRIES = {r.slot: r for r in (BACKBONES, COSTS, GUIDANCE, AGGREGATIONS, REGRESSIONS, UPSAMPLERS, MODELS)}
+REGISTRIES = {r.slot: r for r in (BACKBONES, COSTS, GUIDANCE, AGGREGATIONS, REGRESSIONS, UPSAMPLERS, MODELS, WEIGHTS)}
 
 
 def list_components(slot: str, pattern: str = "*") -> list[str]:
     """Names of the components that can fill a slot.
 
     Args:
-        slot: "backbones", "costs", "guidance", "aggregations", "regressions", "upsamplers" or "models".
+        slot: "backbones", "costs", "guidance", "aggregations", "regressions", "upsamplers", "models"
+            or "weights".
         pattern: shell-style wildcard.
 
     Raises:

@@ -25,6 +25,7 @@ from stereokit.evaluation.tables import format_dataset
 from stereokit.inference import Predictor, check_free
 from stereokit.model import StereoModel
 from stereokit.registry import list_models, suggest
+from stereokit.weights import default_weights
 
 __all__ = ["add_arguments", "run"]
 
@@ -39,7 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(sgbm_5paths), holes filled from the background, or left (sgbm_unfilled, sgbm_5paths_unfilled); or a "
         "function of your own, MODULE:FUNCTION, from left and right image to disparity (default: coex)",
     )
-    parser.add_argument("--weights", help="folder of a saved network, or published checkpoint")
+    parser.add_argument(
+        "--weights", help="folder of a saved network, published checkpoint, or a name of stereokit list weights"
+    )
     parser.add_argument(
         "--data",
         action="append",
@@ -140,7 +143,8 @@ def _matcher(options: argparse.Namespace, load_network: LoadNetwork) -> Matcher:
     if name not in list_models():
         raise ConfigError(f"unknown model {name!r}; {suggest(name, [*list_models(), *SGBM_VARIANTS])}")
     _refuse(name, options, "search_range")
-    return NetworkMatcher(Predictor(load_network(options), options.device), weights=options.weights)
+    predictor = Predictor(load_network(options), options.device)
+    return NetworkMatcher(predictor, weights=options.weights or default_weights(name))
 
 
 def _refuse(name: str, options: argparse.Namespace, *given: str) -> None:

@@ -14,9 +14,9 @@ from stereokit.data.datasets.opening import open_dataset
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.errors import ConfigError, InputError, StereoKitError
 from stereokit.evaluation.matcher import BatchMatcher, Matcher, describe_matcher
-from stereokit.evaluation.provenance import machine, versions
 from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
 from stereokit.metrics import StereoMetrics
+from stereokit.provenance import machine, versions
 
 __all__ = ["Observer", "evaluate"]
 

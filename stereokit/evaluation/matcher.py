@@ -9,10 +9,12 @@ import torch
 
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.errors import ConfigError, InputError
-from stereokit.evaluation.provenance import file_sha256, state_sha256
 from stereokit.inference import Predictor
 from stereokit.inputs import to_pair
 from stereokit.pretrained import WEIGHTS_NAME
+from stereokit.provenance import file_sha256, state_sha256
+from stereokit.registry import WEIGHTS
+from stereokit.weights import weights_folder
 
 __all__ = ["BatchMatcher", "Image", "Matcher", "NetworkMatcher", "describe_matcher"]
 
@@ -40,8 +42,8 @@ class NetworkMatcher:
 
     Args:
         predictor: the network on its device.
-        weights: the checkpoint, or the folder of a saved network, that it was loaded from; it is named with its hash
-            in the record of an evaluation.
+        weights: the checkpoint, the folder of a saved network, or the name of the library's weights that it was loaded
+            from; it is named with its hash in the record of an evaluation.
 
     >>> import numpy as np
     >>> from stereokit import build_model
@@ -93,7 +95,8 @@ class NetworkMatcher:
         if self.weights is not None:
             path = os.fspath(self.weights)
             parts["weights"] = path
-            file = os.path.join(path, WEIGHTS_NAME) if os.path.isdir(path) else path
+            folder = weights_folder(path) if path in WEIGHTS else path
+            file = os.path.join(folder, WEIGHTS_NAME) if os.path.isdir(folder) else folder
             parts["weights_file_sha256"] = file_sha256(file)
         return parts
 

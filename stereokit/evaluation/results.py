@@ -68,7 +68,7 @@ class Evaluation:
         model: what was evaluated, see `describe_matcher`.
         settings: the thresholds, the ceiling, the limit, the batch size and the untimed runs.
         masks: the rules by which pixels count, in words.
-        machine: see `stereokit.evaluation.provenance.machine`.
+        machine: see `stereokit.provenance.machine`.
         versions: of Python and the libraries.
         started: time in UTC, ISO 8601.
         command: the command line, if there was one.

@@ -84,6 +84,7 @@ class StereoTraining(LightningModule):
         self._seconds_before = 0.0
         self._started: float | None = None
         self._metrics: list[StereoMetrics] = []
+        self._statistics_before: list[Tensor] = []
 
     @property
     def seconds(self) -> float:
@@ -131,7 +132,7 @@ class StereoTraining(LightningModule):
         With several processes, each mean over known pixels is weighted by how many of them the process has, so that
         the mean of the gradients is that of one process with the joint batch.
         """
-        before = [buffer.clone() for buffer in self._batch_statistics()]
+        self._statistics_before = [buffer.clone() for buffer in self._batch_statistics()]
         output = self(batch["left"], batch["right"])
         truth = batch["disparity"]
         ceiling = math.inf if self.recipe.loss.max_disparity is None else self.recipe.loss.max_disparity
@@ -140,9 +141,6 @@ class StereoTraining(LightningModule):
             known = ((truth > 0) & (truth < ceiling)).sum().float()
             everywhere = cast(Tensor, self.all_gather(known))
             loss = loss * known / everywhere.mean().clamp(min=1)
-        if not loss.isfinite():
-            for buffer, value in zip(self._batch_statistics(), before, strict=True):
-                buffer.copy_(value)
         self.pairs_seen += len(truth) * self.trainer.world_size
         self.log("loss", loss, prog_bar=True)
         self.log("pairs_seen", float(self.pairs_seen))
@@ -162,6 +160,8 @@ class StereoTraining(LightningModule):
         self._broken_in_a_row += 1
         for parameter in self.parameters():
             parameter.grad = None
+        for buffer, value in zip(self._batch_statistics(), self._statistics_before, strict=True):
+            buffer.copy_(value)
         self.log("broken_steps", float(self.broken_steps))
         if self._broken_in_a_row >= MOST_BROKEN_STEPS:
             raise TrainingError(

@@ -134,10 +134,10 @@ class Recipe:
 
     Attributes:
         name: of the recipe.
-        about: what it is for and where it is from.
         model: name of the network and what differs from it, as `build_model` takes them.
         augmentation: of each pair; its crop is the size that is trained on.
         schedule: length, batch and learning rate.
+        about: what it is for and where it is from.
         optimisation: Adam.
         loss: which ground truth counts.
         averaging: of the weights.
@@ -150,10 +150,10 @@ class Recipe:
     """
 
     name: str
-    about: str
     model: Mapping[str, Any]
     augmentation: Augmentation
     schedule: Schedule
+    about: str = ""
     optimisation: Optimisation = field(default_factory=Optimisation)
     loss: Loss = field(default_factory=Loss)
     averaging: Averaging = field(default_factory=Averaging)

@@ -19,8 +19,8 @@ from stereokit.data.datasets import open_dataset
 from stereokit.data.datasets.dataset import StereoSample
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import CheckpointError, ConfigError, InputError
-from stereokit.evaluation.provenance import commit, machine, state_sha256, versions
 from stereokit.model import StereoModel
+from stereokit.provenance import commit, machine, state_sha256, versions
 from stereokit.training.averaging import AveragedWeights
 from stereokit.training.data import StereoData, usual_workers
 from stereokit.training.module import StereoTraining
@@ -50,7 +50,10 @@ class Outcome:
 
 
 class _LastCheckpoint(Checkpoint):
-    """Writes the state of the run to one file every so many steps, and behind the last one."""
+    """Writes the state of the run to one file every so many steps.
+
+    Not behind the last one: Lightning would not go on from there with a run that is made longer.
+    """
 
     def __init__(self, path: Path, every: int) -> None:
         self.path = path
@@ -60,7 +63,7 @@ class _LastCheckpoint(Checkpoint):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         over = trainer.should_stop or trainer.global_step >= trainer.max_steps
-        if over or trainer.global_step % self.every == 0:
+        if not over and trainer.global_step % self.every == 0:
             trainer.save_checkpoint(self.path)
 
 
@@ -134,6 +137,8 @@ def train(
     }
     last = out / "checkpoints" / "last.ckpt"
     goes_on = resume and last.is_file()
+    if goes_on:
+        _check_checkpoint(last, steps)
     if _is_first_process():
         _prepare_folder(out, asked, resume=resume, command=command)
 
@@ -181,12 +186,7 @@ def train(
     with warnings.catch_warnings():
         # a CPU's few cores are shared between network and loaders on purpose
         warnings.filterwarnings("ignore", message=".*does not have many workers.*")
-        try:
-            trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
-        except (RuntimeError, KeyError, EOFError) as error:
-            if goes_on and training.seconds == 0:
-                raise CheckpointError(f"the checkpoint {str(last)!r} can't be read: {error}") from error
-            raise
+        trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
         if trainer.interrupted:
             raise KeyboardInterrupt
         metrics = trainer.validate(training, loaders, verbose=False) if validation_sets else []
@@ -265,6 +265,17 @@ def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: 
                 f"{str(out)!r} was started with {key} {value!r}, not {wanted[key]!r}; resume it with the same, or "
                 "choose another --out"
             )
+
+
+def _check_checkpoint(path: Path, steps: int) -> None:
+    try:
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # the reader of a damaged file may stumble over anything
+        raise CheckpointError(f"the checkpoint {str(path)!r} can't be read: {error}") from error
+    if not isinstance(checkpoint, dict) or "stereokit" not in checkpoint:
+        raise CheckpointError(f"{str(path)!r} is no checkpoint of stereokit train")
+    if checkpoint["global_step"] >= steps:
+        raise ConfigError(f"{str(path)!r} is at step {checkpoint['global_step']} already; a run of {steps} is over")
 
 
 def _settled(run: Mapping[str, Any]) -> dict[str, Any]:

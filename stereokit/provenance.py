@@ -1,4 +1,4 @@
-"""What an evaluation ran on and with, so that it can be repeated."""
+"""What a number or a network was made on and with, so that it can be repeated."""
 
 import hashlib
 import os
@@ -86,7 +86,7 @@ def commit() -> str | None:
     """The commit of the source tree that this library is run from, "-dirty" behind it if files differ; None if it is
     installed.
     """
-    source = Path(__file__).parents[2]
+    source = Path(__file__).parents[1]
     if not (source / ".git").exists():
         return None
     git = ["git", "-C", str(source)]

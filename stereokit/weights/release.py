@@ -1,0 +1,94 @@
+"""Turns a trained network into weights with a manifest.
+
+python -m stereokit.weights.release RUN/network coex.mine_v1 --out FOLDER --results RESULTS.json
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import save
+
+from stereokit.data.atomic import atomic_path, make_folder
+from stereokit.errors import CheckpointError, ConfigError, StereoKitError
+from stereokit.model import StereoModel
+from stereokit.pretrained import WEIGHTS_NAME
+from stereokit.provenance import file_sha256
+from stereokit.weights.shipped import MANIFEST_NAME, Manifest
+
+__all__ = ["main", "release"]
+
+
+def release(
+    network: str | Path, name: str, out: str | Path, *, results: Mapping[str, Any], licence: str = "Apache-2.0"
+) -> Manifest:
+    """Writes `model.safetensors` in float16, and `manifest.json`.
+
+    Args:
+        network: folder of a network that `stereokit train` saved, with its `training.json`.
+        name: NETWORK.TAG.
+        out: the folder, which must be new.
+        results: measured errors, with the command that measures them.
+        licence: of the weights, as an SPDX identifier.
+
+    Raises:
+        CheckpointError: there is no trained network in the folder.
+        ConfigError: a name that is not of this network, or weights that float16 can't hold.
+        InputError: the files are there already, or can't be written.
+    """
+    model = StereoModel.from_pretrained(network)
+    record = Path(network) / "training.json"
+    try:
+        training = json.loads(record.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"{str(record)!r}, the record of the training, can't be read: {error}") from error
+    kind = model.config["name"]
+    if not name.startswith(f"{kind}.") or not name.removeprefix(f"{kind}."):
+        raise ConfigError(f"weights of a {kind} are named {kind}.TAG, not {name!r}")
+    state = {key: value.half() if value.is_floating_point() else value for key, value in model.state_dict().items()}
+    too_large = [key for key, value in state.items() if not value.isfinite().all()]
+    if too_large:
+        raise ConfigError(f"float16 can't hold {', '.join(too_large)}")
+    make_folder(out)
+    with atomic_path(Path(out) / WEIGHTS_NAME, overwrite=False) as temporary:
+        temporary.write_bytes(save({key: value.contiguous() for key, value in state.items()}))
+    manifest = Manifest(
+        name=name,
+        sha256=file_sha256(Path(out) / WEIGHTS_NAME),
+        licence=licence,
+        network=dict(model.config),
+        images="RGB, uint8 or float in [0, 1]; the network normalises and pads",
+        precision=str(torch.float16).removeprefix("torch."),
+        training=training,
+        results=dict(results),
+    )
+    with atomic_path(Path(out) / MANIFEST_NAME, overwrite=False) as temporary:
+        temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    return manifest
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="Turn a trained network into weights with a manifest.")
+    parser.add_argument("network", help="folder of a network that `stereokit train` saved")
+    parser.add_argument("name", help="NETWORK.TAG")
+    parser.add_argument("--out", required=True, help="new folder")
+    parser.add_argument("--results", required=True, help="JSON file of measured errors")
+    parser.add_argument("--licence", default="Apache-2.0", help="(default: %(default)s)")
+    options = parser.parse_args(arguments)
+    try:
+        results = json.loads(Path(options.results).read_text(encoding="utf-8"))
+        manifest = release(options.network, options.name, options.out, results=results, licence=options.licence)
+    except (OSError, ValueError, StereoKitError) as error:
+        print(f"release: {error}", file=sys.stderr)
+        return 2
+    print(f"wrote {options.out}, sha256 {manifest['sha256']}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,161 @@
+"""Weights by name. Other packages add theirs to `WEIGHTS`, as a function that gives the folder."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypedDict, cast
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+
+from stereokit.builder import build_model
+from stereokit.errors import CheckpointError, ConfigError, InputError
+from stereokit.model import StereoModel
+from stereokit.pretrained import WEIGHTS_NAME, load_state
+from stereokit.provenance import file_sha256
+from stereokit.registry import WEIGHTS, suggest
+
+__all__ = [
+    "DEFAULTS",
+    "MANIFEST_NAME",
+    "Manifest",
+    "default_weights",
+    "list_weights",
+    "load_weights",
+    "read_manifest",
+    "weights_folder",
+]
+
+MANIFEST_NAME = "manifest.json"
+
+DEFAULTS = {"coex": "coex.synthetic_v1"}
+"""What `pretrained=True` stands for, by network."""
+
+
+class Manifest(TypedDict):
+    """What is known about weights."""
+
+    name: str
+    """NETWORK.TAG."""
+    sha256: str
+    """Of the file of weights, as `sha256sum` gives it."""
+    licence: str
+    network: dict[str, Any]
+    """The whole `ModelConfig`, which holds the preprocessing too: mean, std, padding."""
+    images: str
+    """What the network takes."""
+    precision: str
+    """In which the weights are stored."""
+    training: dict[str, Any]
+    """Recipe, seed, commit, steps, pairs seen, seconds, machine, versions: the `training.json` of the run."""
+    results: dict[str, Any]
+    """Measured errors, with the command that measures them."""
+
+
+@WEIGHTS.register("coex.synthetic_v1")
+def coex_synthetic_v1() -> Path:
+    """CoEx, trained on scenes that this library renders and on nothing else."""
+    return Path(__file__).parent / "coex.synthetic_v1"
+
+
+def list_weights(pattern: str = "*") -> list[str]:
+    """Names of weights that are at hand.
+
+    Args:
+        pattern: shell-style wildcard.
+
+    >>> list_weights("coex.*")
+    ['coex.synthetic_v1']
+    """
+    return WEIGHTS.names(pattern)
+
+
+def default_weights(network: str) -> str:
+    """The weights that `pretrained=True` stands for.
+
+    Raises:
+        ConfigError: there are none for this network, or several of other packages.
+
+    >>> default_weights("coex")
+    'coex.synthetic_v1'
+    """
+    if network in DEFAULTS:
+        return DEFAULTS[network]
+    known = list_weights(f"{network}.*")
+    if len(known) == 1:
+        return known[0]
+    if known:
+        raise ConfigError(f"there are several weights for {network!r}; name one of {', '.join(known)}")
+    raise ConfigError(f"there are no weights for {network!r}; there are {', '.join(list_weights())}")
+
+
+def weights_folder(name: str) -> Path:
+    """The folder of these weights.
+
+    Raises:
+        ConfigError: there are none of this name.
+    """
+    if name not in WEIGHTS:
+        raise ConfigError(f"unknown weights {name!r}; {suggest(name, list_weights())}")
+    return Path(WEIGHTS.get(name)())
+
+
+def read_manifest(name: str) -> Manifest:
+    """What is known about these weights.
+
+    Raises:
+        ConfigError: there are none of this name.
+        CheckpointError: the manifest is missing or damaged.
+
+    >>> read_manifest("coex.synthetic_v1")["licence"]
+    'Apache-2.0'
+    """
+    path = weights_folder(name) / MANIFEST_NAME
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"the manifest {str(path)!r} can't be read: {error}") from error
+    missing = [key for key in Manifest.__annotations__ if not isinstance(manifest, Mapping) or key not in manifest]
+    if missing:
+        raise CheckpointError(f"the manifest {str(path)!r} lacks {', '.join(missing)}")
+    return cast(Manifest, manifest)
+
+
+def load_weights(name: str, **overrides: Any) -> StereoModel:
+    """The network that these weights are of, with them, in eval mode.
+
+    Args:
+        name: NETWORK.TAG, see `list_weights`.
+        overrides: of the network, see `build_model`; the weights have to fit it still.
+
+    Raises:
+        ConfigError: there are no weights of this name, or an override that can't be.
+        CheckpointError: the file is missing or damaged, or does not fit the network.
+
+    >>> load_weights("coex.synthetic_v1", top_k=3).config["regression"]["k"]
+    3
+    """
+    manifest = read_manifest(name)
+    path = weights_folder(name) / WEIGHTS_NAME
+    try:
+        digest = file_sha256(path)
+        state = load_file(path)
+    except (OSError, InputError, SafetensorError) as error:
+        raise CheckpointError(f"the weights {str(path)!r} can't be read: {error}") from error
+    if digest != manifest["sha256"]:
+        raise CheckpointError(
+            f"the weights {str(path)!r} are damaged: their SHA-256 is {digest}, not {manifest['sha256']} as in the "
+            "manifest; install the package again"
+        )
+    model: StereoModel = build_model(manifest["network"], **overrides)
+    differing = [key for key, value in model.config.items() if manifest["network"].get(key) != value]
+    try:
+        load_state(model, state, name)
+    except CheckpointError as error:
+        if not differing:
+            raise
+        raise CheckpointError(
+            f"the weights {name!r} are of another network: it differs in {', '.join(differing)}; leave that as it is, "
+            "or train it"
+        ) from error
+    return model.eval()

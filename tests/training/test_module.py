@@ -1,0 +1,164 @@
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.callbacks import Callback
+from torch import nn
+
+from stereokit.builder import build_model
+from stereokit.losses import stereo_loss
+from stereokit.training import Averaging, StereoTraining, TrainingError
+from stereokit.training.averaging import AveragedWeights
+from stereokit.training.module import MOST_BROKEN_STEPS
+from stereokit.training.recipe import Loss, Schedule
+from tests.training.tiny import TINY
+
+
+def batch(pairs=2, known=1.0):
+    generator = torch.Generator().manual_seed(pairs)
+    left, right = (torch.rand(pairs, 3, 32, 64, generator=generator) for _ in range(2))
+    truth = torch.rand(pairs, 32, 64, generator=generator) * 20 + 1
+    truth[torch.rand(truth.shape, generator=generator) > known] = torch.nan
+    return {"left": left, "right": right, "disparity": truth}
+
+
+def fit(training: LightningModule, batches, *callbacks: Callback, **options) -> Trainer:
+    trainer = Trainer(
+        accelerator="cpu",
+        max_steps=len(batches),
+        max_epochs=1,
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        callbacks=list(callbacks),
+        **options,
+    )
+    trainer.fit(training, torch.utils.data.DataLoader(batches, batch_size=None))
+    return trainer
+
+
+def tiny_training(steps=3, **changes) -> StereoTraining:
+    return StereoTraining(build_model("coex", max_disparity=32), replace(TINY, **changes), steps=steps)
+
+
+class Rates(Callback):
+    def __init__(self):
+        self.rates = []
+
+    def on_before_optimizer_step(self, trainer, pl_module, optimizer):
+        self.rates += [group["lr"] for group in optimizer.param_groups]
+
+
+def test_the_rate_follows_the_schedule_over_the_steps():
+    training = tiny_training(4, schedule=Schedule(batch=2, steps=4, milestones=(0.5,), factor=0.1))
+    rates = Rates()
+    fit(training, [batch()] * 4, rates)
+    assert rates.rates == pytest.approx([1e-3, 1e-3, 1e-4, 1e-4])
+    assert training.pairs_seen == 8
+
+
+def test_a_run_in_minutes_ends_when_they_are_over(monkeypatch):
+    clock = iter(range(0, 10_000, 6))
+    monkeypatch.setattr("stereokit.training.module.time.monotonic", lambda: float(next(clock)))
+    training = tiny_training(100, schedule=Schedule(batch=2, steps=100, milestones=(0.5,), factor=0.1))
+    training.minutes = 0.5
+    rates = Rates()
+    trainer = fit(training, [batch()] * 20, rates)
+    assert trainer.global_step == len(rates.rates) == 5
+    assert rates.rates == pytest.approx([1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
+
+
+def test_the_loss_is_that_of_the_library():
+    training = tiny_training(1, loss=Loss(max_disparity=12))
+    model = build_model("coex", max_disparity=32)
+    model.load_state_dict(training.model.state_dict())
+    data = batch(known=0.4)
+    expected = stereo_loss(
+        model(data["left"], data["right"]),
+        data["disparity"],
+        auxiliary_weights=model.auxiliary_weights,
+        max_disparity=12,
+    )
+    trainer = fit(training, [data])
+    assert trainer.callback_metrics["loss"].item() == pytest.approx(expected.item(), rel=1e-5)
+
+
+class Broken(nn.Module):
+    """Leads to an infinite loss where the image is white."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.model = model
+        self.auxiliary_weights = model.auxiliary_weights
+
+    def forward(self, left, right):
+        output = self.model(left, right)
+        return output._replace(disparity=torch.where(left.amin() == 1, math.inf, 1.0) * output.disparity)
+
+
+def test_a_step_that_is_not_finite_changes_nothing():
+    model = build_model("coex", max_disparity=32)
+    training = StereoTraining(Broken(model), TINY, steps=3)
+    good = batch()
+    white = {**good, "left": torch.ones_like(good["left"])}
+    fit(training, [good])
+    before = {key: value.clone() for key, value in model.state_dict().items()}
+    trainer = fit(training, [white, white])
+    assert trainer.callback_metrics["broken_steps"] == training.broken_steps == 2
+    after = model.state_dict()
+    assert all(torch.equal(before[key], after[key]) for key in before)
+    fit(training, [good])
+    assert training.broken_steps == 2
+    assert any(not torch.equal(before[key], value) for key, value in model.state_dict().items())
+
+
+def test_training_that_stays_infinite_stops_with_words():
+    model = build_model("coex", max_disparity=32)
+    training = StereoTraining(Broken(model), TINY, steps=MOST_BROKEN_STEPS + 5)
+    data = batch()
+    white = {**data, "left": torch.ones_like(data["left"])}
+    with pytest.raises(TrainingError, match=f"{MOST_BROKEN_STEPS} steps in a row.*smaller learning rate"):
+        fit(training, [white] * (MOST_BROKEN_STEPS + 5))
+
+
+class Weights(Callback):
+    """Keeps the weights after each step."""
+
+    def __init__(self):
+        self.seen = []
+
+    def on_train_batch_end(self, trainer, pl_module, *_):
+        self.seen.append({key: value.clone() for key, value in pl_module.model.state_dict().items()})
+
+
+def mean_of(states, shares):
+    """The mean that a new state enters with its share."""
+    total = {key: value.double() for key, value in states[0].items()}
+    for state, share in zip(states[1:], shares[1:], strict=True):
+        total = {key: total[key] + share * (value.double() - total[key]) for key, value in state.items()}
+    return total
+
+
+@pytest.mark.parametrize(
+    ("averaging", "shares"),
+    [
+        (Averaging(kind="ema", decay=0.5), [1 - 2 / 11, 1 - 3 / 12, 1 - 4 / 13, 1 - 5 / 14]),
+        (Averaging(kind="ema", decay=0.2), [1 - 2 / 11, 0.8, 0.8, 0.8]),
+        (Averaging(kind="swa", start=0.5), [1, 1, 1 / 2, 1 / 3]),
+    ],
+)
+def test_what_is_left_in_the_end_is_the_average(averaging, shares):
+    training = tiny_training(4)
+    first = {key: value.clone() for key, value in training.model.state_dict().items()}
+    weights = Weights()
+    average = AveragedWeights(averaging, lambda: training.progress)
+    fit(training, [batch(seed + 2) for seed in range(4)], weights, average)
+    # AveragedModel takes the weights themselves at its first update
+    expected = mean_of(weights.seen, [1, *shares[1:]])
+    for key, value in training.model.state_dict().items():
+        if value.is_floating_point():
+            torch.testing.assert_close(value.double(), expected[key], rtol=1e-4, atol=1e-6)
+    assert any(not torch.equal(first[key], value) for key, value in training.model.state_dict().items())

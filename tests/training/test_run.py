@@ -1,0 +1,233 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from lightning.pytorch import Trainer
+from lightning.pytorch.callbacks import Callback
+from torch import nn
+
+from stereokit.builder import build_model
+from stereokit.cli import main
+from stereokit.data.synthetic import SyntheticScenes
+from stereokit.data.synthetic.command import write_scenes
+from stereokit.errors import CheckpointError, ConfigError, InputError
+from stereokit.inference import Predictor
+from stereokit.model import StereoModel
+from stereokit.training import StereoTraining, TrainingSamples, train, with_length
+from stereokit.training.data import StereoData
+from tests.training.tiny import TINY
+
+REPOSITORY = Path(__file__).parents[2]
+CPU = {"accelerator": "cpu", "devices": 1, "workers": 0}
+
+
+@pytest.fixture(autouse=True)
+def _few_validation_scenes(monkeypatch):
+    monkeypatch.setattr("stereokit.training.run.VALIDATION_SCENES", 2)
+
+
+def test_a_run_leaves_a_network_with_its_record(tmp_path):
+    outcome = train(TINY, tmp_path / "run", checkpoint_every=4, validate_every=3, **CPU)
+    assert outcome.record["steps"] == 6
+    assert outcome.record["pairs_seen"] == 12
+    assert set(outcome.record["validation"]) >= {"validation/bad_3", "synthetic/epe"}
+    names = {str(path.relative_to(tmp_path / "run")) for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    assert {
+        "run.json",
+        "checkpoints/last.ckpt",
+        "checkpoints/best.ckpt",
+        "logs/csv/version_0/metrics.csv",
+        "network/config.json",
+        "network/model.safetensors",
+        "network/training.json",
+        "pictures/synthetic/0_0000003.png",
+        "pictures/synthetic/1_0000006.png",
+    } <= names
+    assert any(name.startswith("logs/tensorboard/") for name in names)
+    saved = StereoModel.from_pretrained(outcome.network)
+    for key, value in outcome.model.state_dict().items():
+        assert torch.equal(saved.state_dict()[key], value)
+    assert json.loads((outcome.network / "training.json").read_text())["recipe"]["name"] == "tiny"
+    scene = SyntheticScenes(size=(48, 80), max_disparity=16)[0]
+    assert Predictor(outcome.network)(scene.left, scene.right).size == (48, 80)
+
+
+ENDLESS = """
+import sys
+from tests.training.tiny import TINY
+from stereokit.training import train
+import stereokit.training.run as run
+run.VALIDATION_SCENES = 2
+if __name__ == "__main__":
+    train(TINY, sys.argv[1], accelerator="cpu", devices=1, workers=1, checkpoint_every=1, validate_every=4)
+"""
+
+
+def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
+    unbroken = train(TINY, tmp_path / "unbroken", checkpoint_every=1, validate_every=4, **CPU)
+    script = tmp_path / "endless.py"
+    script.write_text(ENDLESS)
+    last = tmp_path / "killed" / "checkpoints" / "last.ckpt"
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path / "killed")],
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    while not last.exists():
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert 1 <= torch.load(last, weights_only=True)["global_step"] <= TINY.schedule.steps
+    resumed = train(TINY, tmp_path / "killed", resume=True, checkpoint_every=1, validate_every=4, **CPU)
+    assert resumed.record["steps"] == 6
+    assert resumed.record["pairs_seen"] == unbroken.record["pairs_seen"]
+    for key, value in unbroken.model.state_dict().items():
+        torch.testing.assert_close(resumed.model.state_dict()[key], value, rtol=1e-5, atol=1e-6)
+    for key, value in unbroken.record["validation"].items():
+        assert resumed.record["validation"][key] == pytest.approx(value, rel=1e-3)
+
+
+def test_a_finished_run_can_be_made_longer(tmp_path):
+    train(with_length(TINY, steps=4), tmp_path, checkpoint_every=2, **CPU)
+    longer = train(with_length(TINY, steps=5), tmp_path, resume=True, checkpoint_every=2, **CPU)
+    assert longer.record["steps"] == 5
+    assert longer.record["pairs_seen"] == 10
+    with pytest.raises(ConfigError, match="is at step 4 already; a run of 3 is over"):
+        train(with_length(TINY, steps=3), tmp_path, resume=True, **CPU)
+
+
+def test_only_the_run_that_is_there_is_resumed(tmp_path):
+    run = tmp_path / "run"
+    train(with_length(TINY, steps=1), run, **CPU)
+    with pytest.raises(InputError, match="holds a run already; go on with it by --resume"):
+        train(TINY, run, **CPU)
+    with pytest.raises(ConfigError, match="was started with seed 0, not 1"):
+        train(TINY, run, seed=1, resume=True, **CPU)
+    with pytest.raises(ConfigError, match=r"schedule.batch 2, not 4"):
+        train(with_length(TINY, batch=4), run, resume=True, **CPU)
+    with pytest.raises(ConfigError, match="was started with start None"):
+        train(TINY, run, model=build_model("coex", max_disparity=32), resume=True, **CPU)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").touch()
+    with pytest.raises(InputError, match="is not empty and holds no run"):
+        train(TINY, tmp_path / "other", **CPU)
+    (run / "checkpoints" / "last.ckpt").write_bytes(b"broken")
+    with pytest.raises(CheckpointError, match=r"last.ckpt.* can't be read"):
+        train(TINY, run, resume=True, **CPU)
+
+
+def test_settings_that_do_not_go_together(tmp_path):
+    files = replace(TINY, scenes=None, data="kitti2015/train:ROOT")
+    with pytest.raises(InputError, match="give --data kitti2015/train:ROOT"):
+        train(files, tmp_path / "run", **CPU)
+    with pytest.raises(ConfigError, match="minutes is -1"):
+        train(TINY, tmp_path / "run", minutes=-1, **CPU)
+    with pytest.raises(ConfigError, match=r"\[scenes\].*'bars'"):
+        train(replace(TINY, scenes={"bars": 3}), tmp_path / "run", **CPU)
+    assert not (tmp_path / "run").exists()
+
+
+def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=3), tmp_path / "data", split="train")
+    start = build_model("coex", max_disparity=32)
+    start.save_pretrained(tmp_path / "start")
+    recipe = tmp_path / "mine.toml"
+    recipe.write_text(
+        '[model]\nname = "coex"\nmax_disparity = 32\n[augmentation]\ncrop_height = 32\ncrop_width = 64\n'
+        "[schedule]\nbatch = 2\nepochs = 1\n[optimisation]\nlearning_rate = 1e-9\n"
+    )
+    data = f"sceneflow/train:{tmp_path / 'data'}"
+    arguments = ["train", "--recipe", str(recipe), "--weights", str(tmp_path / "start"), "--accelerator", "cpu"]
+    arguments += ["--out", str(tmp_path / "run"), "--data", data, "--workers", "0"]
+    assert main([*arguments, "--validate", data]) == 0
+    printed = capsys.readouterr().out
+    assert "2 steps, 4 pairs" in printed
+    assert "sceneflow/train/bad_3" in printed
+    trained = StereoModel.from_pretrained(tmp_path / "run" / "network")
+    for key, value in start.named_parameters():
+        torch.testing.assert_close(trained.get_parameter(key), value, rtol=0, atol=1e-7)
+
+
+def test_the_command_explains(tmp_path, capsys):
+    assert main(["train", "--recipe", "scenflow", "--out", str(tmp_path / "run")]) == 2
+    assert "did you mean 'sceneflow'" in capsys.readouterr().err
+    assert main(["train", "--recipe", "synthetic", "--out", str(tmp_path / "run"), "--devices", "two"]) == 2
+    assert "--devices is a number of devices, or auto" in capsys.readouterr().err
+    assert main(["train", "--recipe", "sceneflow", "--out", str(tmp_path / "run")]) == 2
+    assert "give --data sceneflow/train:ROOT" in capsys.readouterr().err
+
+
+class Gradients(Callback):
+    """Freezes batch statistics, which CPU processes do not share, and writes the gradient of the first step."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def on_train_batch_start(self, trainer, pl_module, *_):
+        for module in pl_module.modules():
+            if isinstance(module, nn.modules.batchnorm._BatchNorm):
+                module.eval()
+
+    def on_before_optimizer_step(self, trainer, pl_module, optimizer):
+        if trainer.is_global_zero:
+            torch.save({name: p.grad for name, p in pl_module.named_parameters() if p.grad is not None}, self.path)
+
+
+def gradients(path, processes):
+    class Sparse(SyntheticScenes):
+        """The part of the truth that is known differs from pair to pair."""
+
+        def __getitem__(self, index):
+            sample = super().__getitem__(index)
+            sample.disparity[: 10 * (index % 4)] = torch.nan
+            return sample
+
+    torch.manual_seed(0)
+    training = StereoTraining(build_model("coex", max_disparity=32), TINY, steps=1)
+    samples = TrainingSamples([Sparse(size=(48, 80), max_disparity=16)], TINY.augmentation, seed=0)
+    trainer = Trainer(
+        accelerator="cpu",
+        devices=processes,
+        strategy="ddp_fork" if processes > 1 else "auto",
+        max_steps=1,
+        max_epochs=1,
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        use_distributed_sampler=False,
+        callbacks=[Gradients(path)],
+    )
+    trainer.fit(training, StereoData(samples, batch=4, steps=1, validation={}, workers=0))
+    return torch.load(path, weights_only=True)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
+def test_two_processes_have_the_gradient_of_one_with_the_joint_batch(tmp_path):
+    alone, together = (gradients(tmp_path / f"{processes}.pt", processes) for processes in (1, 2))
+    assert alone.keys() == together.keys()
+    largest = max(gradient.abs().max() for gradient in alone.values())
+    assert largest > 0
+    for name, gradient in alone.items():
+        torch.testing.assert_close(together[name], gradient, rtol=1e-3, atol=1e-5 * float(largest))
+
+
+def test_a_batch_that_does_not_divide_is_refused(tmp_path):
+    class Two:
+        world_size, global_rank = 2, 0
+
+    samples = TrainingSamples([SyntheticScenes(size=(48, 80), max_disparity=16)], TINY.augmentation, seed=0)
+    data = StereoData(samples, batch=3, steps=1, validation={}, workers=0)
+    data.trainer = Two()
+    with pytest.raises(ConfigError, match="batch of 3 does not divide among 2 processes"):
+        data.train_dataloader()
