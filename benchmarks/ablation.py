@@ -1,0 +1,189 @@
+"""Trains the rows of the CoEx paper's ablation on rendered scenes, and prints them beside the paper's numbers.
+
+    python benchmarks/ablation.py --out runs/ablation --minutes 20
+
+Every row has the same scenes, seeds and budget, given in minutes or in steps; with steps, rows see equally many
+scenes whatever they cost. Rows are named TABLE-NUMBER; --list shows them. A row that is done is not done again, one
+that was broken off is resumed: the same command goes on. The errors are of scenes of another seed.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from stereokit import StereoKitError, StereoModel, build_model
+from stereokit.data.atomic import atomic_path
+from stereokit.data.synthetic import SyntheticScenes
+from stereokit.metrics import StereoMetrics
+from stereokit.models.ablation import ABLATION, AblationRow
+from stereokit.training import Recipe, load_recipe, train, with_length
+from stereokit.training.samples import to_batch
+
+TEST_SEED = 2_000_003
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, help="folder for the runs")
+    parser.add_argument("--list", action="store_true", help="name the rows, and end")
+    parser.add_argument("--rows", nargs="+", metavar="ROW", help="which (default: all of CoEx)")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--minutes", type=float, help="training time of a row")
+    budget.add_argument("--steps", type=int, help="training steps of a row")
+    parser.add_argument("--batch", type=int, default=4)
+    parser.add_argument("--crop", nargs=2, type=int, default=(192, 384), metavar=("HEIGHT", "WIDTH"))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--test-scenes", type=int, default=100)
+    parser.add_argument("--accelerator", default="auto")
+    parser.add_argument("--precision", default="32")
+    parser.add_argument("--workers", type=int)
+    options = parser.parse_args()
+    rows = named_rows()
+    if options.list:
+        for name, row in rows.items():
+            print(f"{name}: {describe(row)}")
+        return 0
+    if options.out is None or (options.minutes is None and options.steps is None):
+        parser.error("give --out, and --minutes or --steps")
+    chosen = options.rows or [name for name, row in rows.items() if row.model == "coex"]
+    unknown = [name for name in chosen if name not in rows]
+    if unknown:
+        parser.error(f"there are no rows {', '.join(unknown)}; see --list")
+    try:
+        results = {name: result_of(rows[name], name, options) for name in chosen}
+    except StereoKitError as error:
+        print(f"ablation: {error}", file=sys.stderr)
+        return 2
+    print(table({name: rows[name] for name in chosen}, results))
+    return 0
+
+
+def named_rows() -> dict[str, AblationRow]:
+    counts: dict[str, int] = {}
+    named = {}
+    for row in ABLATION:
+        counts[row.table] = counts.get(row.table, 0) + 1
+        named[f"{row.table}-{counts[row.table]}"] = row
+    return named
+
+
+def describe(row: AblationRow) -> str:
+    regression = row.overrides.get("regression", {"k": row.overrides.get("top_k", 2)})
+    k = f"k = {regression['k']}" + (f" -> {regression['test_k']}" if regression.get("test_k") else "")
+    guidance = row.overrides.get("guidance", "gce")
+    if isinstance(guidance, Mapping):
+        guidance = guidance["name"]
+    aggregation = row.overrides.get("aggregation", "")
+    where = f" {row.overrides.get('guidance_at', 'full')}" if guidance != "none" else ""
+    cost = row.overrides.get("cost", "correlation")
+    parts = [row.model, cost, f"guidance {guidance}{where}", k, *([str(aggregation)] if aggregation else [])]
+    return ", ".join(parts)
+
+
+def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Trains and tests a row, or reads what was found before."""
+    path = options.out / f"{name}.json"
+    asked = {key: getattr(options, key) for key in ("minutes", "steps", "batch", "seed", "test_scenes", "precision")}
+    asked["crop"] = list(options.crop)
+    if path.is_file():
+        before = json.loads(path.read_text(encoding="utf-8"))
+        if before["asked"] != asked:
+            raise StereoKitError(f"{str(path)!r} is of another budget: {before['asked']}; choose another --out")
+        return dict(before)
+    print(f"{name}: {describe(row)}", file=sys.stderr)
+    # rows that train alike, whatever they test, share a run
+    at_test = {"cost": "correlation", "guidance_at": "full", **plain(row.overrides)}
+    if "top_k" in at_test:
+        at_test["regression"] = {"name": "top_k", "k": at_test.pop("top_k")}
+    overrides = {**at_test, "regression": {**at_test["regression"], "test_k": None}}
+    network, run = trained(row.model, overrides, options)
+    model = build_model(row.model, **at_test)
+    model.load_state_dict(network.state_dict())
+    result = {"asked": asked, "row": describe(row), "run": run, **tested(model, options)}
+    with atomic_path(path, overwrite=False) as temporary:
+        temporary.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    return result
+
+
+def trained(model: str, overrides: dict[str, Any], options: argparse.Namespace) -> tuple[StereoModel, dict[str, Any]]:
+    folder = options.out / "runs" / "_".join([model, *words(overrides)])
+    if (folder / "network" / "training.json").is_file():
+        record = json.loads((folder / "network" / "training.json").read_text(encoding="utf-8"))
+        return StereoModel.from_pretrained(folder / "network"), summary(record)
+    recipe: Recipe = with_length(load_recipe("synthetic"), steps=options.steps or 1_000_000, batch=options.batch)
+    height, width = options.crop
+    recipe = replace(
+        recipe,
+        model={"name": model, **overrides},
+        augmentation=replace(recipe.augmentation, crop_height=height, crop_width=width),
+        scenes={**(recipe.scenes or {}), "size": [height + 32, width + 64]},
+    )
+    outcome = train(
+        recipe,
+        folder,
+        seed=options.seed,
+        minutes=options.minutes,
+        resume=True,
+        accelerator=options.accelerator,
+        devices=1,
+        precision=options.precision,
+        workers=options.workers,
+        checkpoint_every=100,
+        validate_every=1_000_000,
+    )
+    return outcome.model, summary(outcome.record)
+
+
+def summary(record: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: record[key] for key in ("steps", "pairs_seen", "seconds", "commit", "machine")}
+
+
+@torch.inference_mode()
+def tested(model: StereoModel, options: argparse.Namespace) -> dict[str, Any]:
+    device = torch.device("cuda" if torch.cuda.is_available() and options.accelerator != "cpu" else "cpu")
+    model.eval().to(device)
+    height, width = options.crop
+    scenes = SyntheticScenes(seed=TEST_SEED, size=(height, width), max_disparity=112.0, count=options.test_scenes)
+    metrics = StereoMetrics()
+    for index in tqdm(range(len(scenes)), unit="scene", leave=False):
+        batch = to_batch(scenes[index])
+        disparity = model(batch["left"].to(device), batch["right"].to(device)).disparity
+        metrics.update(disparity.cpu(), batch["disparity"])
+    counted = metrics.compute()
+    return {key: counted[key] for key in ("epe", "bad_1", "bad_3")}
+
+
+def plain(value: Any) -> Any:
+    return {key: plain(part) for key, part in value.items()} if isinstance(value, Mapping) else value
+
+
+def words(value: Any) -> list[str]:
+    if isinstance(value, dict):
+        return [f"{key}-{'-'.join(words(part))}" for key, part in sorted(value.items()) if part is not None]
+    return [str(value)]
+
+
+def table(rows: Mapping[str, AblationRow], results: Mapping[str, Mapping[str, Any]]) -> str:
+    lines = [
+        ["row", "network", "scenes seen", "EPE [px]", "bad-3 [%]", "paper: EPE, SceneFlow [px]", "bad-3 [%]"],
+        ["---", "---", *["---:"] * 5],
+    ]
+    for name, row in rows.items():
+        result = results[name]
+        paper = "" if row.bad3 is None else f"{row.bad3:.2f}"
+        seen = f"{result['run']['pairs_seen']:,}"
+        lines.append(
+            [name, describe(row), seen, f"{result['epe']:.3f}", f"{result['bad_3']:.2f}", f"{row.epe:.3f}", paper]
+        )
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
