@@ -1,0 +1,156 @@
+import json
+import shutil
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from stereokit.builder import build_model
+from stereokit.data.synthetic import SyntheticScenes
+from stereokit.errors import CheckpointError, ConfigError
+from stereokit.inference import Predictor
+from stereokit.metrics import end_point_error
+from stereokit.model import StereoModel
+from stereokit.provenance import file_sha256
+from stereokit.registry import WEIGHTS
+from stereokit.weights import DEFAULTS, default_weights, list_weights, load_weights, read_manifest, weights_folder
+from stereokit.weights.release import main, release
+
+OURS = [name for name in list_weights() if weights_folder(name).parent.name == "weights"]
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory):
+    """Released weights of a network that nobody trained."""
+    root = tmp_path_factory.mktemp("mine")
+    torch.manual_seed(0)
+    build_model("coex", max_disparity=64, top_k=3).save_pretrained(root / "network")
+    (root / "network" / "training.json").write_text(json.dumps({"recipe": {"name": "none"}, "seed": 0}))
+    release(root / "network", "coex.mine", root / "coex.mine", results={"bad_3": 99.0})
+    return root
+
+
+@pytest.fixture
+def registered(mine, tmp_path):
+    """The same, at hand by name, in a folder to damage."""
+    folder = tmp_path / "coex.mine"
+    shutil.copytree(mine / "coex.mine", folder)
+    WEIGHTS.register("coex.mine")(lambda: folder)
+    yield folder
+    del WEIGHTS._factories["coex.mine"]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_what_ships_is_whole_small_and_says_where_it_is_from(name):
+    manifest, file = read_manifest(name), weights_folder(name) / "model.safetensors"
+    assert manifest["name"] == name
+    assert file_sha256(file) == manifest["sha256"]
+    assert file.stat().st_size < 6e6
+    assert manifest["licence"] == "Apache-2.0"
+    assert manifest["training"]["data"] == []
+    assert manifest["training"]["textures"] is None
+    assert {"recipe", "seed", "commit", "steps", "pairs_seen", "command"} <= manifest["training"].keys()
+    assert "command" in manifest["results"]
+    assert build_model(manifest["network"]).config == manifest["network"]
+    assert load_weights(name).config["name"] == name.partition(".")[0]
+
+
+@pytest.mark.parametrize(("network", "name"), DEFAULTS.items())
+def test_the_usual_weights_know_what_they_do(network, name):
+    scenes = SyntheticScenes(seed=77, size=(128, 256), max_disparity=48, count=4)
+    predict = Predictor(network, device="cpu")
+    errors = []
+    for index in range(4):
+        disparity = torch.from_numpy(predict(scenes[index].left, scenes[index].right).disparity)
+        errors.append(float(end_point_error(disparity, torch.from_numpy(scenes[index].disparity))))
+    assert sorted(errors)[1] < 3.0
+    assert default_weights(network) == name
+
+
+def test_every_way_to_the_weights_leads_to_the_same(registered, mine):
+    expected = {key: value.half() for key, value in StereoModel.from_pretrained(mine / "network").state_dict().items()}
+    ways = [
+        build_model("coex.mine"),
+        build_model("coex", pretrained="mine"),
+        load_weights("coex.mine"),
+        Predictor("coex.mine", device="cpu").model,
+    ]
+    for model in ways:
+        assert not model.training
+        assert model.config["max_disparity"] == 64
+        for key, value in model.state_dict().items():
+            assert torch.equal(value, expected[key].to(value.dtype))
+    assert "coex.mine" in list_weights("coex.*")
+
+
+def test_overrides_that_fit_and_overrides_that_do_not(registered):
+    assert build_model("coex", pretrained="mine", top_k=2, max_disparity=128).config["max_disparity"] == 128
+    with pytest.raises(CheckpointError, match="it differs in guidance; leave that as it is, or train it"):
+        build_model("coex", pretrained="mine", guidance="none")
+
+
+def test_weights_that_there_are_not(registered):
+    with pytest.raises(ConfigError, match=r"unknown weights 'coex\.mime'; did you mean 'coex\.mine'"):
+        build_model("coex", pretrained="mime")
+    with pytest.raises(ConfigError, match="no weights for 'gcnet'"):
+        build_model("gcnet", pretrained=True)
+    with pytest.raises(ConfigError, match="unknown model 'coexx'"):
+        build_model("coexx", pretrained=True)
+    with pytest.raises(ConfigError, match="belong to a network's name"):
+        build_model(build_model("coex").config, pretrained=True)
+
+
+def test_several_weights_without_a_usual_one(registered, monkeypatch):
+    monkeypatch.setitem(WEIGHTS._factories, "psmnet.a", lambda: registered)
+    assert default_weights("psmnet") == "psmnet.a"
+    monkeypatch.setitem(WEIGHTS._factories, "psmnet.b", lambda: registered)
+    with pytest.raises(ConfigError, match=r"name one of psmnet\.a, psmnet\.b"):
+        default_weights("psmnet")
+
+
+def test_damage_is_noticed(registered):
+    weights, manifest = registered / "model.safetensors", registered / "manifest.json"
+    content = bytearray(weights.read_bytes())
+    content[-1] ^= 1
+    weights.write_bytes(content)
+    with pytest.raises(CheckpointError, match=r"are damaged: their SHA-256 is .* install the package again"):
+        load_weights("coex.mine")
+    weights.unlink()
+    with pytest.raises(CheckpointError, match="can't be read"):
+        load_weights("coex.mine")
+    manifest.write_text("{}")
+    with pytest.raises(CheckpointError, match="lacks name, sha256"):
+        load_weights("coex.mine")
+    manifest.write_text("{")
+    with pytest.raises(CheckpointError, match=r"manifest.json' can't be read"):
+        load_weights("coex.mine")
+
+
+def test_a_release_holds_halves_and_the_record(mine):
+    state = load_file(mine / "coex.mine" / "model.safetensors")
+    assert {value.dtype for value in state.values()} == {torch.float16, torch.int64}
+    manifest = json.loads((mine / "coex.mine" / "manifest.json").read_text())
+    assert manifest["training"] == {"recipe": {"name": "none"}, "seed": 0}
+    assert manifest["results"] == {"bad_3": 99.0}
+    assert manifest["precision"] == "float16"
+
+
+def test_releases_that_can_not_be(mine, tmp_path, capsys):
+    with pytest.raises(ConfigError, match=r"named coex\.TAG, not 'psmnet.mine'"):
+        release(mine / "network", "psmnet.mine", tmp_path / "a", results={})
+    results = tmp_path / "results.json"
+    results.write_text("{}")
+    arguments = [str(mine / "network"), "coex.new", "--out", str(tmp_path / "new"), "--results", str(results)]
+    assert main(arguments) == 0
+    assert "sha256" in capsys.readouterr().out
+    assert main(arguments) == 2
+    assert "exists already" in capsys.readouterr().err
+    large = build_model("coex", max_disparity=64)
+    with torch.no_grad():
+        next(large.parameters()).fill_(1e6)
+    large.save_pretrained(tmp_path / "large")
+    with pytest.raises(CheckpointError, match="the record of the training"):
+        release(tmp_path / "large", "coex.large", tmp_path / "b", results={})
+    (tmp_path / "large" / "training.json").write_text("{}")
+    with pytest.raises(ConfigError, match="float16 can't hold backbone"):
+        release(tmp_path / "large", "coex.large", tmp_path / "b", results={})
