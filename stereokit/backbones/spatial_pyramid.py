@@ -33,8 +33,11 @@ class PooledBranch(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, C, H, W) to (B, out_channels, H, W); a map smaller than the pool is pooled whole."""
         height, width = x.shape[-2:]
-        kernel = (min(self.pool, height), min(self.pool, width))
-        pooled = self.conv(F.avg_pool2d(x, kernel, stride=kernel))
+        missing = [torch.sym_max(self.pool - size, 0) for size in (height, width)]
+        pooled = F.avg_pool2d(F.pad(x, (0, missing[1], 0, missing[0])), self.pool)
+        # zeros that filled the window up do not count
+        pooled = pooled * (self.pool**2 / ((self.pool-missing[0])*(self.pool-missing[1])))
+        pooled = self.conv(pooled)
         return F.interpolate(pooled, size=(height, width), mode="bilinear", align_corners=False)
 
 
