@@ -42,9 +42,7 @@ class CompiledBackend(TorchBackend):
         os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(compile_cache()))
         self._seen: set[tuple[Any, ...]] = set()
         # CUDA graphs take the launch of kernels off the CPU; on a CPU there is none to take off
-        how: dict[str, Any] = (
-            {"mode": "reduce-overhead"} if device.type == "cuda" else {"options": {"freezing": True}}
-        )
+        how: dict[str, Any] = {"mode": "reduce-overhead"} if device.type == "cuda" else {"options": {"freezing": True}}
         self._compiled = torch.compile(self.network, **how)
 
     def prepare(self, left: Tensor, right: Tensor) -> float:

@@ -18,7 +18,8 @@ class TorchBackend:
     """A network in eager PyTorch.
 
     Args:
-        network: any module with `forward(left, right) -> StereoOutput`. It is moved to the device and put into eval mode.
+        network: any module with `forward(left, right) -> StereoOutput`; it is moved to the device and put into eval
+            mode.
         device: of torch.
         precision: "float32", or a half precision for autocast.
 

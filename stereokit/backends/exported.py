@@ -47,9 +47,9 @@ class ExportedBackend(ABC):
         """
         self._check_size(*left.shape[-2:])
         lefts, rights = (
-            (x / 255 if x.dtype == torch.uint8 else x).to("cpu", torch.float32).split(1) for x in (left, right)
+            (x / 255 if x.dtype == torch.uint8 else x).to("cpu", torch.float32).numpy() for x in (left, right)
         )
-        outputs = [self.run(a.numpy(), b.numpy()) for a, b in zip(lefts, rights, strict=True)]
+        outputs = [self.run(a[None], b[None]) for a, b in zip(lefts, rights, strict=True)]
         disparity, *confidence = (np.concatenate(maps) for maps in zip(*outputs, strict=True))
         return Estimate(disparity, confidence[0] if confidence else None)
 

@@ -5,10 +5,11 @@ import io
 import logging
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
 
 import torch
-import torch.fx.experimental._config as symbolic_config
+import torch.fx.experimental._config
 from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 
@@ -62,7 +63,7 @@ def trace(model: nn.Module, size: Size | None) -> ExportedProgram:
     height, width = size or example_size(model)
     images = (torch.rand(1, 3, height, width), torch.rand(1, 3, height, width))
     axes = None if size else {2: Dim("height", min=MIN_SIZE), 3: Dim("width", min=MIN_SIZE)}
-    with naming_block(graph), torch.no_grad(), symbolic_config.patch(backed_size_oblivious=True):
+    with naming_block(graph), torch.no_grad(), _sizes_as_unknowns():
         # sizes that the solver can't prove to fit are checked when the program runs, not settled on the example's
         return torch.export.export(
             graph,
@@ -70,6 +71,13 @@ def trace(model: nn.Module, size: Size | None) -> ExportedProgram:
             dynamic_shapes={"left": axes, "right": axes},
             prefer_deferred_runtime_asserts_over_guards=True,
         )
+
+
+def _sizes_as_unknowns() -> AbstractContextManager[None]:
+    """Keeps the tracer from branching on what holds for the example's size, as PyTorch's own ONNX exporter does."""
+    settings: Any = torch.fx.experimental._config
+    patched: AbstractContextManager[None] = settings.patch(backed_size_oblivious=True)
+    return patched
 
 
 def example_size(model: nn.Module) -> Size:

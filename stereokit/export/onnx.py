@@ -1,8 +1,7 @@
 """Networks as ONNX files."""
 
 import os
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import torch

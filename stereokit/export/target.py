@@ -26,7 +26,9 @@ def check_target(path: str | os.PathLike[str], suffix: str, *, overwrite: bool) 
     if target.suffix.lower() != suffix:
         raise InputError(f"{os.fspath(path)!r} does not end in {suffix}, as files of this format do")
     if target.exists() and not overwrite:
-        raise InputError(f"{os.fspath(path)!r} exists already; choose another name, or say --overwrite (overwrite=True)")
+        raise InputError(
+            f"{os.fspath(path)!r} exists already; choose another name, or say --overwrite (overwrite=True)"
+        )
     if not target.absolute().parent.is_dir():
         raise InputError(f"{os.fspath(path)!r} can't be written: the folder {str(target.parent)!r} does not exist")
     return target
