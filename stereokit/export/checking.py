@@ -49,7 +49,7 @@ class Difference:
         height, width = self.size
         return (
             f"{self.pair}, {width} x {height} px: disparity differs by {self.mean:.2g} px on average, by more than "
-            f"{TOLERANCE} px at {100 * self.above_tolerance:.2g} % and 1 px at {100 * self.above_1px:.2g} % of pixels"
+            f"{TOLERANCE} px at {100 * self.above_tolerance:.3g} % and 1 px at {100 * self.above_1px:.3g} % of pixels"
         )
 
 
