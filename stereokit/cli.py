@@ -11,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from stereokit._version import __version__
+from stereokit.backends import BACKENDS, is_exported
 from stereokit.builder import build_model
 from stereokit.data.atomic import make_folder
 from stereokit.data.datasets import DATASETS, check_dataset, format_report, open_dataset
@@ -18,6 +19,7 @@ from stereokit.data.pairs import match_pairs
 from stereokit.data.synthetic.command import run_synth
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.evaluation import command as evaluation_command
+from stereokit.export import command as export_command
 from stereokit.inference import Predictor, check_free, output_paths
 from stereokit.model import MIN_SIZE, StereoModel
 from stereokit.published import NETWORKS, ConversionReport, convert_published
@@ -27,6 +29,9 @@ from stereokit.training import command as training_command
 from stereokit.weights import default_weights, list_weights, load_weights, read_manifest
 
 __all__ = ["main"]
+
+
+BACKEND_HELP = f"{', '.join(BACKENDS)} (default: torch, or that of an exported file)"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -77,18 +82,25 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("right", help="right image, folder, or quoted pattern")
     predict.add_argument("--model", help="name of the network that the weights are for (default: coex)")
     predict.add_argument(
-        "--weights", help="folder of a saved network, published checkpoint, or a name of stereokit list weights"
+        "--weights",
+        help="folder of a saved network, published checkpoint, exported file, or a name of stereokit list weights",
     )
     _add_published_options(predict)
     predict.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     predict.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
+    predict.add_argument("--backend", default="auto", help=BACKEND_HELP)
     predict.add_argument("--overwrite", action="store_true", help="replace existing results")
     predict.set_defaults(run=_predict)
 
     evaluation = commands.add_parser("eval", help="count errors on data sets with ground truth")
     evaluation_command.add_arguments(evaluation)
     _add_published_options(evaluation)
-    evaluation.set_defaults(run=lambda options: evaluation_command.run(options, _load_network))
+    evaluation.set_defaults(run=lambda options: evaluation_command.run(options, _load_predictor))
+
+    export = commands.add_parser("export", help="write a network as ONNX, OpenVINO or torch.export file, and check it")
+    export_command.add_arguments(export)
+    _add_published_options(export)
+    export.set_defaults(run=lambda options: export_command.run(options, _load_network))
 
     training = commands.add_parser("train", help="train a network by a recipe")
     training_command.add_arguments(training)
@@ -145,7 +157,7 @@ def _add_published_options(parser: argparse.ArgumentParser) -> None:
 def _predict(options: argparse.Namespace) -> None:
     pairs = match_pairs(options.left, options.right)
     check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
-    predictor = Predictor(_load_network(options), options.device)
+    predictor = _load_predictor(options)
     if len(pairs) > 1:
         # now rather than after the first pair is matched
         make_folder(options.out)
@@ -164,6 +176,8 @@ def _predict(options: argparse.Namespace) -> None:
         low, high = np.nanmin(result.disparity), np.nanmax(result.disparity)
         if result.invalid:
             tqdm.write(f"{pair.name}: {result.invalid} pixels have no finite disparity", file=sys.stderr)
+        if result.preparation_seconds:
+            tqdm.write(f"{pair.name}: compiled for {width} x {height} px in {result.preparation_seconds:.1f} s")
         tqdm.write(
             f"{pair.name}: {width} x {height} px, disparity {low:.1f} to {high:.1f} px, {result.seconds:.2f} s "
             f"on {predictor.device}; wrote {', '.join(map(str, written))}"
@@ -182,9 +196,19 @@ def _check_data(options: argparse.Namespace) -> None:
         raise InputError(f"{len(report.broken)} of {report.pairs} pairs are broken")
 
 
+def _load_predictor(options: argparse.Namespace) -> Predictor:
+    if not is_exported(options.weights):
+        return Predictor(_load_network(options), options.device, options.backend)
+    if any(value is not None for value in (options.model, options.channel_order, options.top_k)):
+        raise ConfigError("an exported file knows its network; leave out --model, --channel-order and --top-k")
+    return Predictor(options.weights, options.device, options.backend)
+
+
 def _load_network(options: argparse.Namespace) -> StereoModel:
     if options.weights is None or options.weights in list_weights():
         return _load_shipped(options)
+    if is_exported(options.weights):
+        raise CheckpointError(f"{options.weights!r} is an exported file; give the network that it was exported from")
     if not os.path.exists(options.weights):
         raise CheckpointError(f"the weights {options.weights!r} do not exist")
     if os.path.isdir(options.weights):

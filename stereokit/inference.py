@@ -11,6 +11,8 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
+from stereokit.backends.eager import TorchBackend
+from stereokit.backends.opening import FILE_BACKENDS, check_backend, is_exported, open_backend
 from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
@@ -34,6 +36,7 @@ class DisparityResult:
         disparity: (H, W) float32, pixels of the left image; x_right = x_left - disparity.
         confidence: (H, W) float32 in [0, 1], the probability mass behind the estimate; None if the network gives none.
         seconds: that the network took, with the transfer to and from the device.
+        preparation_seconds: that went before it into what the backend needs once for a size, such as compiling.
 
     >>> result = DisparityResult(np.full((40, 60), 12.5, np.float32), confidence=None, seconds=0.1)
     >>> result.size
@@ -43,6 +46,7 @@ class DisparityResult:
     disparity: npt.NDArray[np.float32]
     confidence: npt.NDArray[np.float32] | None
     seconds: float
+    preparation_seconds: float = 0.0
 
     @property
     def size(self) -> tuple[int, int]:
@@ -130,14 +134,18 @@ class Predictor:
     """A network made ready to be used on single pairs.
 
     Args:
-        model: a network; or the name of one that the library has weights for ("coex"), the name of weights
-            ("coex.synthetic_v1"), or the folder or hub id of a saved network. It is moved to the device and put into
-            eval mode.
-        device: "auto" (a GPU if there is one), or what `torch.device` takes.
+        model: a network; the name of one that the library has weights for ("coex"), the name of weights
+            ("coex.synthetic_v1"), the folder or hub id of a saved network, or a file that `stereokit export` wrote
+            (.onnx, .xml). A network is moved to the device and put into eval mode.
+        device: "auto" (a GPU if there is one and the backend can use it), or what `torch.device` takes.
+        backend: "torch", "compile", "onnxruntime" or "openvino"; "auto" is that of the exported file's suffix, and
+            "torch" for a network.
+        precision: "float32", "bfloat16" or "float16" for the arithmetic, where the backend can; float32, or that of
+            the exported file, by default.
 
     Raises:
-        ConfigError: the device is unknown or absent.
-        CheckpointError: there is no saved network at this place.
+        ConfigError: the device or the backend is unknown, absent, or not for this model.
+        CheckpointError: there is no saved network or exported file at this place, or it can't be used.
 
     >>> predict = Predictor("coex", device="cpu")
     >>> left = right = np.zeros((50, 70, 3), np.uint8)
@@ -145,12 +153,36 @@ class Predictor:
     (50, 70)
     """
 
-    def __init__(self, model: nn.Module | str | os.PathLike[str], device: str | torch.device = "auto") -> None:
-        self.device = choose_device(device)
-        network = model if isinstance(model, nn.Module) else _saved_network(model)
-        self.model = network.to(self.device).eval()
+    def __init__(
+        self,
+        model: nn.Module | str | os.PathLike[str],
+        device: str | torch.device = "auto",
+        backend: str = "auto",
+        *,
+        precision: str | None = None,
+    ) -> None:
+        if not is_exported(model):
+            check_backend(backend)
+            device = choose_device(device)
+            model = model if isinstance(model, nn.Module) else _saved_network(model)
+        self.backend = open_backend(model, device, backend, precision)
 
-    @torch.inference_mode()
+    @property
+    def device(self) -> torch.device:
+        """Where the backend computes."""
+        return self.backend.device
+
+    @property
+    def model(self) -> nn.Module:
+        """The network.
+
+        Raises:
+            ConfigError: an exported file is run, which holds no module.
+        """
+        if not isinstance(self.backend, TorchBackend):
+            raise ConfigError(f"backend {self.backend.name!r} runs an exported file, which holds no torch module")
+        return self.backend.network
+
     def __call__(self, left: ImageLike, right: ImageLike) -> DisparityResult:
         """Matches one rectified pair.
 
@@ -165,12 +197,13 @@ class Predictor:
         height, width = left.shape[-2:]
         if min(height, width) < MIN_SIZE:
             raise InputError(f"the images are {width} x {height} pixels; at least {MIN_SIZE} x {MIN_SIZE} are needed")
+        preparation_seconds = self.backend.prepare(left, right)
         start = time.perf_counter()
-        output = self.model(left.to(self.device), right.to(self.device))
-        # copying to the CPU waits for the device
-        disparity = output.disparity[0].float().cpu().numpy()
-        confidence = None if output.confidence is None else output.confidence[0].float().cpu().numpy()
-        return DisparityResult(disparity, confidence, time.perf_counter() - start)
+        disparity, confidence = self.backend(left, right)
+        seconds = time.perf_counter() - start
+        return DisparityResult(
+            disparity[0], None if confidence is None else confidence[0], seconds, preparation_seconds
+        )
 
 
 def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
@@ -178,7 +211,10 @@ def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
         raise ConfigError(f"a predictor takes a network, or the name or place of one; got {type(place).__name__}")
     name = os.fspath(place)
     if os.path.isfile(name):
-        raise CheckpointError(f"{name!r} is a file; a published checkpoint is read by stereokit.load_published")
+        raise CheckpointError(
+            f"{name!r} is a file; a published checkpoint is read by stereokit.load_published, and exported files end "
+            f"in {' or '.join(FILE_BACKENDS)}"
+        )
     if not os.path.isdir(name) and name in WEIGHTS:
         return load_weights(name)
     if not os.path.isdir(name) and name in MODELS:

@@ -215,7 +215,9 @@ class StereoModel(
 
     def _pad(self, images: Tensor) -> Tensor:
         height, width = images.shape[-2:]
-        right_and_bottom = (0, -width % self.multiple, 0, -height % self.multiple)
+        # floor division, and no modulo of a negative number, which torch.export can't reason about
+        bottom, right = ((size + self.multiple - 1) // self.multiple * self.multiple - size for size in (height, width))
+        right_and_bottom = (0, right, 0, bottom)
         return F.pad(images, right_and_bottom, mode="constant" if self.padding == "zeros" else "replicate")
 
     def _left_guides(self, guides: dict[int, Tensor]) -> dict[int, Tensor]:

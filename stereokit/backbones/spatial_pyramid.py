@@ -1,5 +1,7 @@
 """The feature extractor of PSMNet: residual layers and spatial pyramid pooling."""
 
+from typing import cast
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -33,8 +35,12 @@ class PooledBranch(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, C, H, W) to (B, out_channels, H, W); a map smaller than the pool is pooled whole."""
         height, width = x.shape[-2:]
-        kernel = (min(self.pool, height), min(self.pool, width))
-        pooled = self.conv(F.avg_pool2d(x, kernel, stride=kernel))
+        # zeros fill a smaller map up to one window and are then left out of the mean; the window stays a constant,
+        # so that torch.export can keep height and width open
+        bottom, right = (torch.sym_max(self.pool - size, 0) for size in (height, width))
+        pooled = F.avg_pool2d(F.pad(x, [0, cast(int, right), 0, cast(int, bottom)]), self.pool)
+        share_inside = (self.pool - bottom) * (self.pool - right) / self.pool**2
+        pooled = self.conv(pooled * (1 / share_inside))
         return F.interpolate(pooled, size=(height, width), mode="bilinear", align_corners=False)
 
 

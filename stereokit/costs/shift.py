@@ -45,7 +45,7 @@ def inner_products(left: Tensor, right: Tensor, levels: int) -> Tensor:
     """
     width = left.shape[-1]
     tile = levels
-    to_full_tiles = -width % tile
+    to_full_tiles = (width + tile - 1) // tile * tile - width
     reach = tile + levels - 1
     left_tiles = rearrange(F.pad(left, (0, to_full_tiles)), "n c h (t x) -> n h t x c", x=tile)
     right_tiles = F.pad(right, (levels - 1, to_full_tiles)).unfold(-1, reach, tile)

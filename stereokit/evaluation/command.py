@@ -11,6 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from stereokit.backends import BACKENDS
 from stereokit.data.atomic import make_folder
 from stereokit.data.datasets.dataset import StereoEntry
 from stereokit.data.datasets.opening import open_dataset
@@ -23,13 +24,12 @@ from stereokit.evaluation.sgbm import SGBM_VARIANTS, SemiGlobalMatcher
 from stereokit.evaluation.submission import KittiSubmission
 from stereokit.evaluation.tables import format_dataset
 from stereokit.inference import Predictor, check_free
-from stereokit.model import StereoModel
 from stereokit.registry import list_models, suggest
 from stereokit.weights import default_weights
 
 __all__ = ["add_arguments", "run"]
 
-LoadNetwork = Callable[[argparse.Namespace], StereoModel]
+LoadPredictor = Callable[[argparse.Namespace], Predictor]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "function of your own, MODULE:FUNCTION, from left and right image to disparity (default: coex)",
     )
     parser.add_argument(
-        "--weights", help="folder of a saved network, published checkpoint, or a name of stereokit list weights"
+        "--weights",
+        help="folder of a saved network, published checkpoint, exported file, or a name of stereokit list weights",
     )
     parser.add_argument(
         "--data",
@@ -52,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--limit", type=int, metavar="N", help="only the first N pairs of each data set")
     parser.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
+    parser.add_argument("--backend", default="auto", help=f"{', '.join(BACKENDS)} (default: that of the weights)")
     parser.add_argument(
         "--batch", type=int, default=1, metavar="N", help="match N pairs of equal size at once (default: 1)"
     )
@@ -73,12 +75,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace existing results")
 
 
-def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
+def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
     """Evaluates as the options say, prints a table per data set and writes the files.
 
     Args:
         options: of `add_arguments`, and `arguments`, the command line that they were parsed from, for the record.
-        load_network: gives the network that the options `model`, `weights`, `channel_order` and `top_k` name.
+        load_predictor: gives the network that the options `model`, `weights`, `channel_order` and `top_k` name, on
+            the device and the backend that they name.
 
     Raises:
         StereoKitError: options or data that can't be used; then no result is written.
@@ -100,7 +103,7 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
             raise InputError(f"--submission takes one data set, kitti2012 or kitti2015; got {len(datasets)}")
         [dataset] = datasets.values()
         observers.append(KittiSubmission(options.submission, dataset, overwrite=options.overwrite))
-    matcher = _matcher(options, load_network)
+    matcher = _matcher(options, load_predictor)
     for folder in (options.out, options.report, options.submission):
         # now rather than after hours of matching
         if folder is not None:
@@ -126,12 +129,14 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         print(f"wrote {len(evaluation.datasets[0].pairs)} disparity maps into {options.submission}; zip its content")
 
 
-def _matcher(options: argparse.Namespace, load_network: LoadNetwork) -> Matcher:
+def _matcher(options: argparse.Namespace, load_predictor: LoadPredictor) -> Matcher:
     name = options.model or "coex"
     if name in SGBM_VARIANTS or ":" in name:
         _refuse(name, options, "weights", "channel_order", "top_k")
         if options.device not in ("auto", "cpu"):
             raise ConfigError(f"--model {name} does not run on a device of torch; leave out --device {options.device}")
+        if options.backend != "auto":
+            raise ConfigError(f"--model {name} has no backends; leave out --backend {options.backend}")
     if ":" in name:
         _refuse(name, options, "search_range")
         return _own_function(name)
@@ -143,8 +148,7 @@ def _matcher(options: argparse.Namespace, load_network: LoadNetwork) -> Matcher:
     if name not in list_models():
         raise ConfigError(f"unknown model {name!r}; {suggest(name, [*list_models(), *SGBM_VARIANTS])}")
     _refuse(name, options, "search_range")
-    predictor = Predictor(load_network(options), options.device)
-    return NetworkMatcher(predictor, weights=options.weights or default_weights(name))
+    return NetworkMatcher(load_predictor(options), weights=options.weights or default_weights(name))
 
 
 def _refuse(name: str, options: argparse.Namespace, *given: str) -> None:

@@ -7,8 +7,9 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy.typing as npt
 import torch
 
+from stereokit.backends.eager import TorchBackend
 from stereokit.data.disparity_arrays import Disparity
-from stereokit.errors import ConfigError, InputError
+from stereokit.errors import InputError
 from stereokit.inference import Predictor
 from stereokit.inputs import to_pair
 from stereokit.pretrained import WEIGHTS_NAME
@@ -61,7 +62,6 @@ class NetworkMatcher:
         """Matches one pair."""
         return self.match_batch([left], [right])[0]
 
-    @torch.inference_mode()
     def match_batch(self, lefts: Sequence[Image], rights: Sequence[Image]) -> list[Disparity]:
         """Matches pairs of one size and type in one pass through the network.
 
@@ -69,29 +69,28 @@ class NetworkMatcher:
             InputError: images that can't be used, or too many of them for the device's memory.
         """
         pairs = [to_pair(left, right) for left, right in zip(lefts, rights, strict=True)]
-        device = self.predictor.device
-        left, right = (torch.cat(views).to(device) for views in zip(*pairs, strict=True))
+        left, right = (torch.cat(views) for views in zip(*pairs, strict=True))
         try:
-            disparity = self.predictor.model(left, right).disparity
+            return list(self.predictor.backend(left, right).disparity)
         except torch.OutOfMemoryError as error:
             height, width = left.shape[-2:]
             raise InputError(
-                f"{len(pairs)} pairs of {width} x {height} pixels at once do not fit into the memory of {device}; "
-                "choose a smaller --batch, or --device cpu"
+                f"{len(pairs)} pairs of {width} x {height} pixels at once do not fit into the memory of "
+                f"{self.predictor.device}; choose a smaller --batch, or --device cpu"
             ) from error
-        return list(disparity.float().cpu().numpy())
 
     def describe(self) -> dict[str, Any]:
-        """The network's configuration and weights, in plain JSON."""
-        model = self.predictor.model
-        parts: dict[str, Any] = {"matcher": "network", "device": str(self.predictor.device)}
-        try:
-            parts["configuration"] = model.config
-        except (AttributeError, ConfigError):
-            # composed by hand
-            parts["class"] = f"{type(model).__module__}.{type(model).__qualname__}"
-        parts["parameters"] = sum(p.numel() for p in model.parameters())
-        parts["weights_sha256"] = state_sha256(model.state_dict())
+        """The network's configuration and weights, and what ran it, in plain JSON."""
+        backend = self.predictor.backend
+        parts: dict[str, Any] = {
+            "matcher": "network",
+            "device": str(backend.device),
+            "backend": backend.name,
+            "precision": backend.precision,
+            **backend.describe(),
+        }
+        if isinstance(backend, TorchBackend):
+            parts["weights_sha256"] = state_sha256(backend.network.state_dict())
         if self.weights is not None:
             path = os.fspath(self.weights)
             parts["weights"] = path

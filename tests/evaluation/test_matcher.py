@@ -1,12 +1,11 @@
 import hashlib
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from torch import nn
 
-from stereokit import build_model
+from stereokit import StereoOutput, build_model
 from stereokit.errors import InputError
 from stereokit.evaluation import BatchMatcher, NetworkMatcher, SemiGlobalMatcher, describe_matcher
 from stereokit.inference import Predictor
@@ -49,7 +48,7 @@ def test_a_network_is_described_by_its_configuration_and_weights(predictor, tmp_
 
 class Plain(nn.Module):
     def forward(self, left, right):
-        return SimpleNamespace(disparity=left.float().mean(1))
+        return StereoOutput(left.float().mean(1))
 
 
 def test_a_network_of_ones_own_is_described_by_its_class():

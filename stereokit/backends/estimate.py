@@ -1,0 +1,42 @@
+"""What every backend takes and gives."""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+__all__ = ["Backend", "Estimate"]
+
+
+class Estimate(NamedTuple):
+    """What a backend gives: arrays on the CPU."""
+
+    disparity: npt.NDArray[np.float32]
+    """(B, H, W), pixels of the left image."""
+    confidence: npt.NDArray[np.float32] | None
+    """(B, H, W) in [0, 1]; None if the network gives none."""
+
+
+class Backend(Protocol):
+    """What runs a network: PyTorch as it is or compiled, or a runtime for exported files.
+
+    Normalisation and padding are part of what it runs: it takes images as they are.
+    """
+
+    name: str
+    """As `open_backend` knows it."""
+    device: torch.device
+    """Where it computes."""
+    precision: str
+    """Of the arithmetic: "float32", "bfloat16", "float16", or "int8" for a quantised file."""
+
+    def prepare(self, left: Tensor, right: Tensor) -> float:
+        """Does once what images of a new size and type need, such as compiling, and says how many seconds it took."""
+
+    def __call__(self, left: Tensor, right: Tensor) -> Estimate:
+        """Matches images (B, 3, H, W), uint8 or float32 in [0, 1]; when it returns, the work is done."""
+
+    def describe(self) -> dict[str, Any]:
+        """What it runs, in plain JSON."""

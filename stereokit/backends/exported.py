@@ -1,0 +1,73 @@
+"""What the runtimes of exported files have in common."""
+
+from abc import ABC, abstractmethod
+from os import PathLike, fspath
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from stereokit.backends.estimate import Estimate
+from stereokit.errors import InputError
+from stereokit.export.metadata import ExportMetadata
+from stereokit.model import MIN_SIZE
+
+__all__ = ["ExportedBackend"]
+
+
+class ExportedBackend(ABC):
+    """A file that `stereokit export` wrote, in the runtime that reads it.
+
+    The file takes one pair of float32 images in [0, 1] at a time; batches pass through it pair by pair.
+    """
+
+    name: str
+    metadata: ExportMetadata
+    precision: str
+
+    def __init__(self, path: str | PathLike[str], device: torch.device) -> None:
+        self.path = fspath(path)
+        self.device = device
+
+    @abstractmethod
+    def run(self, left: npt.NDArray[np.float32], right: npt.NDArray[np.float32]) -> list[npt.NDArray[np.float32]]:
+        """One pair (1, 3, H, W) through the file, to its outputs (1, H, W)."""
+
+    def prepare(self, left: Tensor, right: Tensor) -> float:
+        """Nothing is needed: the file was compiled when it was opened."""
+        return 0.0
+
+    def __call__(self, left: Tensor, right: Tensor) -> Estimate:
+        """Images (B, 3, H, W) to disparity and confidence (B, H, W).
+
+        Raises:
+            InputError: the file was exported for another size.
+        """
+        self._check_size(*left.shape[-2:])
+        lefts, rights = (
+            (x / 255 if x.dtype == torch.uint8 else x).to("cpu", torch.float32).numpy() for x in (left, right)
+        )
+        outputs = [self.run(a[None], b[None]) for a, b in zip(lefts, rights, strict=True)]
+        disparity, *confidence = (np.concatenate(maps) for maps in zip(*outputs, strict=True))
+        return Estimate(disparity, confidence[0] if confidence else None)
+
+    def describe(self) -> dict[str, Any]:
+        """What the file says of itself, in plain JSON."""
+        return {"configuration": self.metadata.network, "export": self.metadata.to_dict()}
+
+    def _check_size(self, height: int, width: int) -> None:
+        check_least_size(height, width)
+        if self.metadata.size is not None and (height, width) != self.metadata.size:
+            fixed_height, fixed_width = self.metadata.size
+            raise InputError(
+                f"the images are {width} x {height} pixels, but {self.path!r} was exported for {fixed_width} x "
+                f"{fixed_height} alone; export it again without a size, or with --size {height} {width}"
+            )
+
+
+def check_least_size(height: int, width: int) -> None:
+    """Raises `InputError` for images below 32 x 32."""
+    if min(height, width) < MIN_SIZE:
+        raise InputError(f"the images are {width} x {height} pixels; at least {MIN_SIZE} x {MIN_SIZE} are needed")

@@ -1,0 +1,76 @@
+"""ONNX Runtime."""
+
+from os import PathLike
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from stereokit.backends.exported import ExportedBackend
+from stereokit.backends.optional import import_optional
+from stereokit.errors import CheckpointError, ConfigError
+from stereokit.export.metadata import ExportMetadata
+
+__all__ = ["OnnxRuntimeBackend"]
+
+PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+
+
+class OnnxRuntimeBackend(ExportedBackend):
+    """An ONNX file in ONNX Runtime, with as many threads as PyTorch has.
+
+    Args:
+        path: of a file that `export_onnx` wrote.
+        device: "auto" (a GPU if ONNX Runtime can use one), "cpu" or "cuda".
+        precision: that of the file, or None.
+
+    Raises:
+        ConfigError: ONNX Runtime is not installed or can't use the device, or the file has another precision.
+        CheckpointError: the file can't be read, was not written by stereokit, or by a newer version.
+    """
+
+    name = "onnxruntime"
+
+    def __init__(
+        self, path: str | PathLike[str], device: str | torch.device = "auto", precision: str | None = None
+    ) -> None:
+        runtime = import_optional("onnxruntime", "backend 'onnxruntime'")
+        super().__init__(path, self._choose(device, runtime.get_available_providers()))
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads = torch.get_num_threads()
+        # errors are raised as well
+        options.log_severity_level = 4
+        provider: object = PROVIDERS[self.device.type]
+        if self.device.type == "cuda":
+            provider = (provider, {"device_id": self.device.index or 0})
+        try:
+            self._session = runtime.InferenceSession(self.path, options, providers=[provider])
+        except Exception as error:
+            # ONNX Runtime has a family of its own for a file that is missing, damaged or too new
+            reason = str(error).strip().splitlines()[0]
+            raise CheckpointError(f"{self.path!r} can't be read by ONNX Runtime: {reason}") from error
+        self.metadata = ExportMetadata.read(self._session.get_modelmeta().custom_metadata_map, self.path)
+        self.precision = self.metadata.precision
+        if precision not in (None, self.precision):
+            raise ConfigError(f"{self.path!r} computes in {self.precision}, not {precision}; leave out the precision")
+
+    def run(self, left: npt.NDArray[np.float32], right: npt.NDArray[np.float32]) -> list[npt.NDArray[np.float32]]:
+        """One pair through the file."""
+        maps: list[npt.NDArray[np.float32]] = self._session.run(None, {"left": left, "right": right})
+        return maps
+
+    @staticmethod
+    def _choose(device: str | torch.device, available: list[str]) -> torch.device:
+        usable = [kind for kind, provider in PROVIDERS.items() if provider in available]
+        if device == "auto":
+            return torch.device("cuda" if "cuda" in usable and torch.cuda.is_available() else "cpu")
+        try:
+            chosen = torch.device(device)
+        except RuntimeError:
+            chosen = None
+        if chosen is None or chosen.type not in usable:
+            raise ConfigError(
+                f"backend 'onnxruntime' can't use device {str(device)!r} here; "
+                f"{' or '.join(map(repr, ('auto', *usable)))} would do"
+            )
+        return chosen

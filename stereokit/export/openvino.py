@@ -1,0 +1,129 @@
+"""Networks as OpenVINO files."""
+
+import dataclasses
+import io
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import nn
+
+from stereokit.backends.openvino import OpenVinoBackend
+from stereokit.backends.optional import import_optional
+from stereokit.data.atomic import atomic_path
+from stereokit.errors import ConfigError, InputError
+from stereokit.export.checking import Pair, check_exact, check_pairs, compare
+from stereokit.export.metadata import KEY, ExportMetadata
+from stereokit.export.onnx import to_onnx
+from stereokit.export.report import ExportReport
+from stereokit.export.target import check_target, on_cpu
+
+__all__ = ["PRECISIONS", "export_openvino"]
+
+PRECISIONS = ("float32", "bfloat16", "int8")
+
+OPSET = 18
+"""Of the ONNX graph on the way, whose every operator OpenVINO reads; it can't read all of torch.export's."""
+
+
+def export_openvino(
+    model: nn.Module,
+    path: str | os.PathLike[str],
+    *,
+    size: tuple[int, int] | None = None,
+    precision: str = "float32",
+    calibration: Sequence[Pair] | None = None,
+    overwrite: bool = False,
+    pairs: Mapping[str, Pair] | None = None,
+) -> ExportReport:
+    """Writes a network as an OpenVINO file (.xml, with its weights in .bin) and checks it against PyTorch.
+
+    Inputs and outputs are those of `export_onnx`; what the file holds is its runtime information "stereokit", see
+    `ExportMetadata`.
+
+    Args:
+        model: any module with `forward(left, right) -> StereoOutput`.
+        path: ends in .xml.
+        size: height and width that the file is for; None for any from 32 x 32 up.
+        precision: "float32"; "bfloat16", which keeps the weights and asks OpenVINO to compute so where the machine can;
+            or "int8", quantised after training by NNCF.
+        calibration: images (1, 3, H, W) like those to come, which "int8" measures the ranges of values on; 20 to 300
+            pairs are usual.
+        overwrite: replace existing files.
+        pairs: images (1, 3, H, W) to compare on, by name, besides random textures; the report says how far a lower
+            precision is off on them. By default "int8" is compared on the first pairs of the calibration.
+
+    Raises:
+        ConfigError: the packages of the extra "openvino" are missing, "int8" without calibration, an operator of the
+            network can't be exported, or a float32 file does not give what the network gives; then none is written.
+        InputError: the size is too small, calibration of another size, or the files can't be written.
+
+    >>> from stereokit import build_model
+    >>> export_openvino(build_model("coex"), "coex.xml", precision="bfloat16")  # doctest: +SKIP
+    """
+    target = check_target(path, ".xml", overwrite=overwrite)
+    if precision not in PRECISIONS:
+        raise ConfigError(f"precision {precision!r} can't be exported; {', '.join(PRECISIONS)} would do")
+    _check_calibration(precision, calibration, size)
+    openvino = import_optional("openvino", "export to OpenVINO")
+    with on_cpu(model) as network:
+        converted = _convert(openvino, network, size, precision)
+        chosen = [*check_pairs(network, size), *(pairs or {}).items()]
+        if calibration is not None:
+            converted = _quantise(converted, calibration)
+            # a random texture is unlike what the ranges were measured on
+            default = {f"calibration pair {i}": pair for i, pair in enumerate(calibration[:4])}
+            chosen = list((pairs or default).items())
+        weights = target.with_suffix(".bin")
+        # the weights are in place before the graph that reads them
+        with atomic_path(target, overwrite=overwrite) as xml, atomic_path(weights, overwrite=overwrite) as binary:
+            openvino.serialize(converted, str(xml), str(binary))
+            if precision != "int8":
+                exact = compare(OpenVinoBackend(xml, "cpu", "float32", weights=binary), network, chosen)
+                check_exact(exact)
+            backend = OpenVinoBackend(xml, "cpu", weights=binary)
+            differences = compare(backend, network, chosen)
+    return ExportReport(target, backend.metadata, tuple(differences), backend.precision)
+
+
+def _check_calibration(precision: str, calibration: Sequence[Pair] | None, size: tuple[int, int] | None) -> None:
+    if precision != "int8":
+        if calibration is not None:
+            raise ConfigError(f"calibration is for precision 'int8' alone; leave it out for {precision!r}")
+        return
+    if not calibration:
+        raise ConfigError(
+            "int8 needs pairs of images to measure the ranges of values on; give some like those to come "
+            "(calibration=[(left, right), ..]; --calibrate LEFT RIGHT, or a data set), or rendered ones "
+            "(--calibrate synthetic)"
+        )
+    for left, _ in calibration:
+        given = (left.shape[-2], left.shape[-1])
+        if size is not None and given != size:
+            raise InputError(
+                f"a pair of the calibration is {given[1]} x {given[0]} pixels, but the export is for {size[1]} x "
+                f"{size[0]}; leave out the size, or calibrate with pairs of it"
+            )
+
+
+def _convert(openvino: Any, network: nn.Module, size: tuple[int, int] | None, precision: str) -> Any:
+    """By way of ONNX: OpenVINO's own reader of programs lacks what the correlation and dynamic pooling need."""
+    proto = to_onnx(network, size, OPSET)
+    [stored] = [entry.value for entry in proto.metadata_props if entry.key == KEY]
+    metadata = dataclasses.replace(ExportMetadata.read({KEY: stored}, "the graph"), precision=precision, opset=None)
+    converted = openvino.convert_model(io.BytesIO(proto.SerializeToString()))
+    converted.set_rt_info(metadata.to_json(), KEY)
+    return converted
+
+
+def _quantise(converted: Any, calibration: Sequence[Pair]) -> Any:
+    nncf = import_optional("nncf", "int8")
+    samples = [
+        {
+            name: (image / 255 if image.dtype == torch.uint8 else image).float().numpy()
+            for name, image in zip(("left", "right"), pair, strict=True)
+        }
+        for pair in calibration
+    ]
+    return nncf.quantize(converted, nncf.Dataset(samples), subset_size=len(samples))

@@ -1,0 +1,37 @@
+"""What an export gives back."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from stereokit.export.checking import Difference
+from stereokit.export.metadata import ExportMetadata
+
+__all__ = ["ExportReport"]
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """A file that was written and checked.
+
+    Args:
+        path: of the file.
+        metadata: that it holds.
+        differences: from the network in float32, pair by pair.
+        precision: in which the check ran; wider than that of the file where this machine lacks it.
+    """
+
+    path: Path
+    metadata: ExportMetadata
+    differences: tuple[Difference, ...]
+    precision: str
+
+    def __str__(self) -> str:
+        size = self.metadata.size
+        of = "images of any size" if size is None else f"{size[1]} x {size[0]} px"
+        opset = "" if self.metadata.opset is None else f", opset {self.metadata.opset}"
+        lines = [f"wrote {self.path}: {of}, {self.metadata.precision}{opset}"]
+        if self.precision != self.metadata.precision:
+            lines.append(f"this machine has no {self.metadata.precision}; compared with PyTorch in {self.precision}:")
+        else:
+            lines.append("compared with PyTorch in float32:")
+        return "\n".join([*lines, *(f"  {difference}" for difference in self.differences)])
