@@ -2,9 +2,9 @@
 
     python benchmarks/gce_cost.py --json gce_cost.json
 
-All are CoEx with top-2, timed in turns. The paper says, on an RTX 2080 Ti: 26 ms without GCE or with it at one scale, 27
-at every scale, and 47 with neighbourhood aggregation in its place at one scale, 1.8 times as much. Random weights: they
-do not change the speed.
+All are CoEx with top-2, timed in turns. The paper says, on an RTX 2080 Ti: 26 ms without GCE or with it at one scale,
+27 at every scale, and 47 with neighbourhood aggregation in its place at one scale, 1.8 times as much. Random weights:
+they do not change the speed.
 """
 
 import argparse
