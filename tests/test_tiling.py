@@ -179,6 +179,18 @@ def test_tiles_and_reduced_pairs_stay_within_the_memory(megabytes: int) -> None:
     assert 0.9 * megabytes * 10**6 < 1000 * h * w <= megabytes * 10**6
 
 
+def test_memory_that_does_not_grow_with_the_pixels_alone_is_respected() -> None:
+    def estimate(height: int, width: int) -> int:
+        return 10_000_000 + 1000 * height * width
+
+    for tiles in ("tile", "reduce"):
+        network = Small()
+        settings = {"tiles": tiles, "overlap": 32, "estimate": estimate}
+        matcher = BoundedMatcher(network, max_memory="30MB", **settings)  # type: ignore[arg-type]
+        matcher(*PAIR)
+        assert all(estimate(*size) <= 30_000_000 for size in network.seen)
+
+
 def test_where_nothing_fits_the_message_says_so() -> None:
     for tiles in ("error", "tile", "reduce"):
         matcher, _ = bounded(10_000, tiles)

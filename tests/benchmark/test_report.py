@@ -49,7 +49,7 @@ def test_the_table_shows_what_differs_and_the_heading_what_is_shared() -> None:
 def test_failures_are_rows_with_their_reason_below() -> None:
     text = str(benchmark(ROW, FAILED))
     assert text.splitlines()[-1] == ("coex onnxruntime float32 384 x 1248, batch 1, D its own: needs the extra 'onnx'")
-    [row] = [line for line in text.splitlines() if line.split()[:2] == ["coex", "onnxruntime"]]
+    [row] = [line for line in text.splitlines() if "onnxruntime" in line and line.endswith("-")]
     assert row.split()[2:] == ["-"] * 9
     assert not benchmark(ROW, FAILED).failed
     assert benchmark(FAILED).failed
