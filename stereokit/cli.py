@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from stereokit._version import __version__
 from stereokit.backends import BACKENDS, is_exported
+from stereokit.benchmark import command as benchmark_command
 from stereokit.builder import build_model
 from stereokit.data.atomic import make_folder
 from stereokit.data.datasets import DATASETS, check_dataset, format_report, open_dataset
@@ -106,6 +107,10 @@ def _parser() -> argparse.ArgumentParser:
     training_command.add_arguments(training)
     _add_published_options(training)
     training.set_defaults(run=lambda options: training_command.run(options, _load_network))
+
+    bench = commands.add_parser("bench", help="time networks, backends and sizes against each other")
+    benchmark_command.add_arguments(bench)
+    bench.set_defaults(run=benchmark_command.run)
 
     data = commands.add_parser("data", help="look at a data set on disk")
     jobs = data.add_subparsers(dest="job", required=True, metavar="JOB")

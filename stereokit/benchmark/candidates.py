@@ -1,0 +1,182 @@
+"""What can be timed: a network on a backend in a precision at a size, or a classical rival."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import torch
+from torch import Tensor, nn
+
+from stereokit.benchmark.precision import dtype_of
+from stereokit.builder import build_model
+from stereokit.errors import CheckpointError, ConfigError
+from stereokit.evaluation.sgbm import SGBM_VARIANTS
+from stereokit.model import StereoModel
+from stereokit.published import NETWORKS, load_published
+from stereokit.registry import list_models, suggest
+
+__all__ = ["BACKENDS", "Candidate", "Ready", "Source", "image_pair", "rival_source", "source_of"]
+
+Source: TypeAlias = Callable[..., Any]
+"""Makes a network, or a matcher such as SGBM; takes ``max_disparity``, or nothing for its own."""
+
+Ready: TypeAlias = Callable[[Tensor, Tensor], object]
+"""Matches images (B, 3, H, W), uint8, that lie on the device."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One row of a benchmark.
+
+    Args:
+        name: what the table calls it.
+        source: makes the network; see `source_of`.
+        backend: what runs it, one of `BACKENDS`.
+        precision: that it computes in.
+        height, width: of the images.
+        batch: pairs at once.
+        max_disparity: D, in pixels; None for the network's own.
+    """
+
+    name: str
+    source: Source
+    backend: str = "eager"
+    precision: str = "float32"
+    height: int = 384
+    width: int = 1248
+    batch: int = 1
+    max_disparity: int | None = None
+
+    def build(self) -> Any:
+        """The network, or the matcher; its random weights are the same each time.
+
+        Raises:
+            StereoKitError: it can't be made.
+        """
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            made = self.source() if self.max_disparity is None else self.source(max_disparity=self.max_disparity)
+        return made.eval() if isinstance(made, nn.Module) else made
+
+    def ready(self, made: Any, device: torch.device) -> Ready:
+        """What runs, from what `build` made.
+
+        Raises:
+            ConfigError: the backend or the precision is unknown, or not to be had here.
+        """
+        if self.backend not in BACKENDS:
+            raise ConfigError(f"unknown backend {self.backend!r}; {suggest(self.backend, list(BACKENDS))}")
+        return BACKENDS[self.backend](made, self, device)
+
+
+def eager(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
+    """The network as it is, operation by operation."""
+    ready: Ready = network.to(device, dtype_of(candidate.precision))
+    return ready
+
+
+def compiled(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
+    """The network through `torch.compile`, for the one size and as one graph: it fails where it can't be compiled."""
+    # networks share the code of their class; past the limit of versions of it, one would fail
+    torch._dynamo.config.recompile_limit = max(torch._dynamo.config.recompile_limit, 256)
+    ready: Ready = torch.compile(eager(network, candidate, device), dynamic=False, fullgraph=True)
+    return ready
+
+
+def opencv(matcher: Any, candidate: Candidate, device: torch.device) -> Ready:
+    """A matcher of images in memory, one pair after the other."""
+
+    def match(left: Tensor, right: Tensor) -> object:
+        views = (images.permute(0, 2, 3, 1).contiguous().cpu().numpy() for images in (left, right))
+        return [matcher(*pair) for pair in zip(*views, strict=True)]
+
+    return match
+
+
+BACKENDS: Mapping[str, Callable[[Any, Candidate, torch.device], Ready]] = {
+    "eager": eager,
+    "compile": compiled,
+    "opencv": opencv,
+}
+"""What runs a candidate: a function from what its source made, itself and the device to what is timed. To know a
+further backend takes a further entry; one that is not installed raises `ConfigError` here, and its row says so."""
+
+
+def source_of(model: str) -> Source:
+    """The source of a network: a registered name, a folder of a saved network, or a published checkpoint.
+
+    Weights do not change the speed: a registered network has random ones.
+
+    Raises:
+        ConfigError: there is no such network.
+        CheckpointError: the checkpoint is none of the published ones.
+
+    >>> source_of("coex")(max_disparity=64).max_disparity
+    64
+    """
+    if Path(model).is_dir():
+        return partial(_saved, model)
+    if Path(model).is_file():
+        return partial(_published, model)
+    if model not in list_models():
+        raise ConfigError(
+            f"{model!r} is no folder or file, and no network; {suggest(model, list_models())}, "
+            "or the folder of a saved network"
+        )
+    return partial(build_model, model)
+
+
+def rival_source(name: str) -> Source:
+    """The source of a classical matcher, see `stereokit.evaluation.SGBM_VARIANTS`.
+
+    Raises:
+        ConfigError: there is none of this name.
+
+    >>> rival_source("sgbm")(max_disparity=64).search_range
+    64
+    """
+    if name not in SGBM_VARIANTS:
+        raise ConfigError(f"unknown rival {name!r}; {suggest(name, list(SGBM_VARIANTS))}")
+    return partial(_rival, name)
+
+
+def _rival(name: str, max_disparity: int | None = None) -> Any:
+    variant = SGBM_VARIANTS[name]
+    return variant if max_disparity is None else replace(variant, search_range=max_disparity)
+
+
+def _saved(folder: str, max_disparity: int | None = None) -> StereoModel:
+    model = StereoModel.from_pretrained(folder)
+    if max_disparity in (None, model.max_disparity):
+        return model
+    other: StereoModel = build_model(model.config, max_disparity=max_disparity)
+    return other
+
+
+def _published(path: str, max_disparity: int | None = None) -> StereoModel:
+    overrides: dict[str, Any] = {} if max_disparity is None else {"max_disparity": max_disparity}
+    refusals = []
+    for network in NETWORKS:
+        try:
+            return load_published(path, network, **overrides)
+        except CheckpointError as error:
+            refusals.append(str(error))
+    raise CheckpointError(refusals[0])
+
+
+def image_pair(candidate: Candidate, device: torch.device) -> tuple[Tensor, Tensor]:
+    """A pair to match, (B, 3, H, W), uint8: a random texture, and the same moved by a quarter of D (48 px by default).
+
+    >>> left, right = image_pair(Candidate("x", dict, height=40, width=60, batch=2), torch.device("cpu"))
+    >>> left.shape, torch.equal(left, right)
+    (torch.Size([2, 3, 40, 60]), False)
+    """
+    generator = torch.Generator().manual_seed(0)
+    shape = (candidate.batch, 3, -(-candidate.height // 4), -(-candidate.width // 4))
+    coarse = torch.rand(shape, generator=generator)
+    left = nn.functional.interpolate(coarse, scale_factor=4, mode="bilinear")
+    left = (left[..., : candidate.height, : candidate.width] * 255).to(torch.uint8).contiguous()
+    right = left.roll(-((candidate.max_disparity or 192) // 4), dims=-1)
+    return left.to(device), right.to(device)

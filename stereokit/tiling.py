@@ -1,0 +1,394 @@
+"""Pairs too large for the memory: matched in overlapping tiles, or at a reduced resolution."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise, product
+from typing import Literal, TypeAlias, get_args
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stereokit.errors import ConfigError, InputError
+from stereokit.memory import MemorySize, available_memory, estimate_memory, format_memory, parse_memory
+from stereokit.model import MIN_SIZE, StereoOutput
+
+__all__ = ["BoundedMatcher", "MemoryPlan", "Run", "TooLarge", "match_reduced", "match_tiles", "tile_grid"]
+
+Run: TypeAlias = Callable[[Tensor, Tensor], StereoOutput]
+"""Left and right images (B, 3, H, W) to a `StereoOutput`: a network, or what calls one."""
+
+TooLarge: TypeAlias = Literal["error", "tile", "reduce"]
+"""What becomes of a pair that does not fit: it is refused, matched in tiles, or matched at a reduced resolution."""
+
+OVERLAP = 128
+MOST_TILES = 256
+"""In each direction."""
+
+
+def match_tiles(
+    run: Run,
+    left: Tensor,
+    right: Tensor,
+    *,
+    tile: tuple[int, int],
+    max_disparity: int,
+    overlap: int = OVERLAP,
+    multiple: int = 1,
+) -> StereoOutput:
+    r"""Matches a pair tile by tile and blends the results.
+
+    Neighbours one above the other share `overlap` rows. Neighbours side by side share `overlap` columns and, on the
+    left of them, `max_disparity` more: there the right tile has no partner for its pixels, and is not used. Of the
+    overlap each tile's outer quarter is dropped, where a network feels the tile's edge; over the middle half the weight
+    passes linearly from one tile to the next. The weights of all tiles sum to 1 at every pixel.
+
+    Args:
+        run: matches one tile; a network, or what calls one.
+        left: (B, 3, H, W), of any size, on any device.
+        right: likewise.
+        tile: height and width of a tile at most, overlaps included. A side that is at least the image's is not cut.
+        max_disparity: D, in pixels: the columns on its left that a pixel's partner may be in.
+        overlap: in pixels. With 128 a trained CoEx differs by less than 0.1 px from what it makes of the whole pair on
+            a smooth scene.
+        multiple: the tiles begin at multiples of this, so that the coarse grids inside a network lie as they do in the
+            whole pair; `StereoModel.multiple`.
+
+    Returns:
+        Disparity and confidence of the whole pair, on the device of `left`.
+
+    Raises:
+        InputError: a tile that its overlaps fill; the message says which would do.
+
+    >>> from stereokit import build_model
+    >>> model = build_model("coex", max_disparity=32).eval()
+    >>> left = right = torch.rand(1, 3, 96, 256)
+    >>> with torch.inference_mode():
+    ...     match_tiles(model, left, right, tile=(96, 160), max_disparity=32, overlap=64, multiple=32).disparity.shape
+    torch.Size([1, 96, 256])
+    """
+    height, width = left.shape[-2:]
+    rows, columns = tile_grid((height, width), tile, max_disparity=max_disparity, overlap=overlap, multiple=multiple)
+    row_weights = _weights(rows, height, 0, overlap)
+    column_weights = _weights(columns, width, max_disparity, overlap)
+    whole: dict[str, Tensor] = {}
+    for (i, (top, bottom)), (j, (start, stop)) in product(enumerate(rows), enumerate(columns)):
+        view = (..., slice(top, bottom), slice(start, stop))
+        output = run(left[view].contiguous(), right[view].contiguous())
+        weight = (row_weights[i, top:bottom, None] * column_weights[j, None, start:stop]).to(left.device)
+        for name, part in (("disparity", output.disparity), ("confidence", output.confidence)):
+            if part is None:
+                continue
+            part = part.to(left.device, torch.float32)
+            if name not in whole:
+                whole[name] = part.new_zeros(left.shape[0], height, width)
+            # what is dropped may be anything, not finite too
+            whole[name][view] += torch.where(weight > 0, part * weight, 0)
+    return StereoOutput(whole["disparity"], confidence=whole.get("confidence"))
+
+
+def tile_grid(
+    size: tuple[int, int], tile: tuple[int, int], *, max_disparity: int, overlap: int = OVERLAP, multiple: int = 1
+) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """First and past-the-last rows, and columns, of the tiles of `match_tiles`.
+
+    Raises:
+        InputError: see `match_tiles`.
+
+    >>> tile_grid((384, 1248), (384, 896), max_disparity=192, multiple=32)
+    ([(0, 384)], [(0, 896), (352, 1248)])
+    """
+    if min(max_disparity, overlap) < 0 or multiple < 1:
+        raise InputError(
+            f"max_disparity {max_disparity} and overlap {overlap} are at least 0 px, multiple {multiple} at least 1"
+        )
+    shared = (overlap, max_disparity + overlap)
+    for side, (whole, part, common) in zip(("height", "width"), zip(size, tile, shared, strict=True), strict=True):
+        smallest = max(MIN_SIZE, common) + multiple
+        if part < min(smallest, whole):
+            raise InputError(
+                f"tiles of {side} {part} are too small: {common} px are shared with the next one; "
+                f"{smallest} or more would do"
+            )
+    rows, columns = (_windows(*sides, multiple) for sides in zip(size, tile, shared, strict=True))
+    return rows, columns
+
+
+def _windows(length: int, size: int, shared: int, multiple: int) -> list[tuple[int, int]]:
+    """As few windows as cover a side, spread evenly, each beginning at a multiple."""
+    if size >= length:
+        return [(0, length)]
+    step = (size - shared) // multiple
+    last = -(-(length - size) // multiple)
+    gaps = -(-last // step)
+    starts = [last * i // gaps * multiple for i in range(gaps + 1)]
+    return [(start, min(start + size, length)) for start in starts]
+
+
+def _weights(windows: list[tuple[int, int]], length: int, context: int, overlap: int) -> Tensor:
+    """The weight of each window at each pixel of a side, (windows, length): its columns sum to 1."""
+    centres = torch.arange(length) + 0.5
+    # how far each place has passed from the window before to the window after
+    passed = [torch.ones(length)]
+    for (_, stop), (start, _) in pairwise(windows):
+        middle = (start + context + stop) / 2
+        ramp = max(overlap / 2, 1e-6)
+        passed.append(((centres - middle) / ramp + 0.5).clamp(0, 1))
+    passed.append(torch.zeros(length))
+    return torch.stack([before - after for before, after in pairwise(passed)])
+
+
+def match_reduced(run: Run, left: Tensor, right: Tensor, *, scale: float) -> StereoOutput:
+    """Matches a pair at a reduced resolution and enlarges the result.
+
+    The disparity is multiplied by what the width was divided by; so is the largest one that can be found, and the
+    smallest detail that can be seen.
+
+    Args:
+        run: matches the reduced pair; a network, or what calls one.
+        left: (B, 3, H, W), uint8, or floating-point in [0, 1].
+        right: likewise.
+        scale: size of the reduced pair, in parts of the given one, above 0 and at most 1.
+
+    Returns:
+        Disparity and confidence at the resolution of `left`, on its device.
+
+    Raises:
+        InputError: the scale, or the reduced pair, is too small.
+
+    >>> def constant(left, right):
+    ...     return StereoOutput(torch.full((1, *left.shape[-2:]), 5.0))
+    >>> left = right = torch.rand(1, 3, 80, 120)
+    >>> match_reduced(constant, left, right, scale=0.5).disparity.unique()
+    tensor([10.])
+    """
+    height, width = left.shape[-2:]
+    small = _reduced_size((height, width), scale)
+    output = run(_reduce(left, small), _reduce(right, small))
+    factor = width / small[1]
+    confidence = None if output.confidence is None else _enlarge(output.confidence, (height, width)).to(left.device)
+    return StereoOutput((_enlarge(output.disparity, (height, width)) * factor).to(left.device), confidence=confidence)
+
+
+def _reduced_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
+    height, width = (max(1, round(side * scale)) for side in size)
+    if not 0 < scale <= 1 or min(height, width) < min(MIN_SIZE, *size):
+        raise InputError(
+            f"scale {scale:g} makes {height} x {width} pixels of {size[0]} x {size[1]}; "
+            f"at most 1, and at least {min(1.0, MIN_SIZE / min(size)):.3g} would do"
+        )
+    return height, width
+
+
+def _reduce(images: Tensor, size: tuple[int, int]) -> Tensor:
+    images = images / 255 if images.dtype == torch.uint8 else images
+    return F.interpolate(images, size, mode="area")
+
+
+def _enlarge(values: Tensor, size: tuple[int, int]) -> Tensor:
+    return F.interpolate(values[:, None].float(), size, mode="bilinear", align_corners=False)[:, 0]
+
+
+@dataclass(frozen=True)
+class MemoryPlan:
+    """How a pair is to be matched within the memory that is allowed.
+
+    Args:
+        how: whole, in tiles, or at a reduced resolution.
+        needed: bytes at most, for the whole pair, as `estimate_memory` has them; None where there is no limit.
+        allowed: bytes; None where there is no limit.
+        tile: height and width of the tiles.
+        tiles: how many of them.
+        scale: of the reduced resolution, see `match_reduced`.
+    """
+
+    how: Literal["whole", "tile", "reduce"]
+    needed: int | None
+    allowed: int | None
+    tile: tuple[int, int] | None = None
+    tiles: int = 1
+    scale: float | None = None
+
+
+class BoundedMatcher:
+    """Runs a network within a limit of memory, which is checked before it starts.
+
+    Args:
+        network: in eval mode, on its device; its memory is estimated.
+        run: what runs it, such as its compiled form; the network itself by default. Takes images on the network's
+            device.
+        max_memory: bytes, or a text such as "4GiB", that a pass may take beside the weights; by default what is free
+            on the network's device when a pair comes.
+        tiles: what becomes of a pair that needs more: "error" says so, and what would do; "tile", see
+            `match_tiles`; "reduce", see `match_reduced`.
+        overlap: of the tiles, in pixels.
+        estimate: height and width to bytes, in place of `estimate_memory` of the network.
+
+    Raises:
+        ConfigError: an unknown `tiles`, or no amount of memory.
+
+    >>> from stereokit import build_model
+    >>> model = build_model("coex", max_disparity=32).eval()
+    >>> match = BoundedMatcher(model, max_memory="100MB", tiles="tile")
+    >>> match.plan(2000, 3000).how
+    'tile'
+    """
+
+    def __init__(
+        self,
+        network: nn.Module,
+        *,
+        run: Run | None = None,
+        max_memory: MemorySize | None = None,
+        tiles: TooLarge = "error",
+        overlap: int = OVERLAP,
+        estimate: Callable[[int, int], int] | None = None,
+    ) -> None:
+        if tiles not in get_args(TooLarge):
+            raise ConfigError(f"tiles={tiles!r} is unknown; 'error', 'tile' or 'reduce' would do")
+        self.max_memory = None if max_memory is None else parse_memory(max_memory)
+        self.tiles: TooLarge = tiles
+        self.overlap = overlap
+        self.run: Run = network if run is None else run
+        self.device = next((tensor.device for tensor in (*network.parameters(), *network.buffers())), None)
+        self.max_disparity = int(getattr(network, "max_disparity", 0))
+        self.multiple = int(getattr(network, "multiple", 1))
+        self._estimate = partial(estimate_memory, network) if estimate is None else estimate
+        self._known: dict[tuple[int, int], int] = {}
+
+    def __call__(self, left: Tensor, right: Tensor) -> StereoOutput:
+        """Matches a pair of one or more images (B, 3, H, W); the limit is for each of the B.
+
+        Raises:
+            InputError: the pair does not fit, and is not to be cut or reduced, or can't be.
+        """
+        height, width = left.shape[-2:]
+        plan = self.plan(height, width)
+        try:
+            if plan.how == "tile" and plan.tile is not None:
+                return match_tiles(
+                    self._on_device,
+                    left,
+                    right,
+                    tile=plan.tile,
+                    max_disparity=self.max_disparity,
+                    overlap=self.overlap,
+                    multiple=self.multiple,
+                )
+            if plan.how == "reduce" and plan.scale is not None:
+                return match_reduced(self._on_device, left, right, scale=plan.scale)
+            return self._on_device(left, right)
+        except torch.OutOfMemoryError as error:
+            raise InputError(
+                f"a pair of {width} x {height} pixels took more memory of {self.device} than was estimated; "
+                "a smaller max_memory with 'tile' or 'reduce' would do"
+            ) from error
+
+    def plan(self, height: int, width: int) -> MemoryPlan:
+        """How a pair of this size is matched.
+
+        Raises:
+            InputError: it does not fit, and is not to be cut or reduced, or can't be; the message says what would do.
+        """
+        allowed = self.max_memory if self.max_memory is not None else available_memory(self.device or "cpu")
+        if allowed is None:
+            return MemoryPlan("whole", None, None)
+        larger = (needed for (h, w), needed in self._known.items() if height <= h and width <= w)
+        if (bound := min(larger, default=None)) is not None and bound <= allowed:
+            return MemoryPlan("whole", bound, allowed)
+        needed = self._needed(height, width)
+        if needed <= allowed:
+            return MemoryPlan("whole", needed, allowed)
+        # what was not asked for is looked for too where it can be offered
+        tile = self._tile(height, width, allowed) if self.tiles != "reduce" else None
+        scale = self._scale(height, width, allowed) if tile is None or self.tiles == "error" else None
+        if self.tiles == "reduce" and scale is None:
+            tile = self._tile(height, width, allowed)
+        if self.tiles == "tile" and tile is not None:
+            return MemoryPlan("tile", needed, allowed, tile=tile, tiles=self._count(height, width, tile))
+        if self.tiles == "reduce" and scale is not None:
+            return MemoryPlan("reduce", needed, allowed, scale=scale)
+        raise InputError(self._refusal(height, width, needed, allowed, tile, scale))
+
+    def _on_device(self, left: Tensor, right: Tensor) -> StereoOutput:
+        device = self.device or left.device
+        return self.run(left.to(device), right.to(device))
+
+    def _needed(self, height: int, width: int) -> int:
+        if (height, width) not in self._known:
+            self._known[height, width] = self._estimate(height, width)
+        return self._known[height, width]
+
+    def _count(self, height: int, width: int, tile: tuple[int, int]) -> int:
+        rows, columns = tile_grid(
+            (height, width), tile, max_disparity=self.max_disparity, overlap=self.overlap, multiple=self.multiple
+        )
+        return len(rows) * len(columns)
+
+    def _tile(self, height: int, width: int, allowed: int) -> tuple[int, int] | None:
+        """The tiles that fit and have the fewest pixels in all; None where none fits."""
+        pixels = height * width * allowed / self._needed(height, width)
+        for _ in range(8):
+            tile = self._cheapest_tile(height, width, pixels)
+            if tile is None:
+                return None
+            needed = self._needed(*tile)
+            if needed <= allowed:
+                return tile
+            # memory does not grow exactly with the pixels
+            pixels = tile[0] * tile[1] * allowed / needed * 0.98
+        return None
+
+    def _cheapest_tile(self, height: int, width: int, pixels: float) -> tuple[int, int] | None:
+        shared = (self.overlap, self.max_disparity + self.overlap)
+        heights, widths = (
+            [(count, self._tile_side(length, count, common)) for count in range(1, MOST_TILES + 1)]
+            for length, common in zip((height, width), shared, strict=True)
+        )
+        fitting = [
+            (rows * columns * h * w, rows * columns, (h, w))
+            for (rows, h), (columns, w) in product(heights, widths)
+            if h is not None and w is not None and h * w <= pixels
+        ]
+        return min(fitting)[-1] if fitting else None
+
+    def _tile_side(self, length: int, count: int, shared: int) -> int | None:
+        """The side of `count` tiles over a length; None where fewer do with the same side."""
+        if count == 1:
+            return length
+        step = -(-(length - shared) // count)
+        step = -(-step // self.multiple) * self.multiple
+        side = shared + step
+        return None if step < self.multiple or side >= length else max(side, MIN_SIZE + self.multiple)
+
+    def _scale(self, height: int, width: int, allowed: int) -> float | None:
+        """The largest resolution that fits; None where none does."""
+        scale: float = (allowed / self._needed(height, width)) ** 0.5
+        while scale * min(height, width) >= MIN_SIZE:
+            # two digits, so that a user can repeat it
+            scale = int(scale * 100) / 100
+            if scale <= 0:
+                return None
+            small = (round(height * scale), round(width * scale))
+            if min(small) >= MIN_SIZE and self._needed(*small) <= allowed:
+                return scale
+            scale *= 0.95
+        return None
+
+    def _refusal(
+        self, height: int, width: int, needed: int, allowed: int, tile: tuple[int, int] | None, scale: float | None
+    ) -> str:
+        whose = f"free on {self.device or 'cpu'}" if self.max_memory is None else "allowed by max_memory"
+        offers = []
+        if tile is not None:
+            count = self._count(height, width, tile)
+            offers.append(f"tiles='tile' would match it in {count} overlapping tiles of {tile[1]} x {tile[0]} pixels")
+        if scale is not None:
+            reach = f", with disparities up to {self.max_disparity / scale:.0f} px" if self.max_disparity else ""
+            offers.append(f"tiles='reduce' would match it at {scale:g} of its size{reach}")
+        return (
+            f"a pair of {width} x {height} pixels needs about {format_memory(needed)} of memory, "
+            f"{format_memory(allowed)} are {whose}; "
+            f"{', '.join(offers) if offers else 'neither a tile nor a reduced resolution fits'}"
+        )
