@@ -20,10 +20,10 @@ def test_a_network_by_name_or_from_a_folder(tmp_path: Path) -> None:
     # with another D, only the configuration is of use
     assert saved(max_disparity=32).max_disparity == 32
     assert source_of("psmnet")(max_disparity=64).config["name"] == "psmnet"
-    with pytest.raises(ConfigError, match="did you mean 'coex'"):
+    with pytest.raises(ConfigError, match=r"did you mean 'coex'"):
         source_of("coexx")
     (tmp_path / "file").write_text("")
-    with pytest.raises(CheckpointError, match="file"):
+    with pytest.raises(CheckpointError, match=r"file"):
         source_of(str(tmp_path / "file"))()
 
 
@@ -63,7 +63,7 @@ def test_what_is_unknown_is_refused() -> None:
         candidate = Candidate("coex", source_of("coex"), max_disparity=64, **wrong)
         with pytest.raises(ConfigError, match=r"did you mean '(eager|float32)'"):
             candidate.ready(candidate.build(), CPU)
-    with pytest.raises(ConfigError, match="did you mean 'sgbm'"):
+    with pytest.raises(ConfigError, match=r"did you mean 'sgbm'"):
         rival_source("sgmb")
 
 

@@ -72,7 +72,7 @@ def test_files_are_whole_and_never_replaced_unasked(tmp_path: Path) -> None:
     found = benchmark(ROW, FAILED, replace(ROW, backend="compile"))
     for name, save in (("b.json", found.save), ("b.png", found.save_plot)):
         save(tmp_path / name)
-        with pytest.raises(InputError, match="exists already"):
+        with pytest.raises(InputError, match=r"exists already"):
             save(tmp_path / name)
         save(tmp_path / name, overwrite=True)
     assert read_image(tmp_path / "b.png").shape[1] > 500

@@ -123,7 +123,7 @@ def test_stages_share_and_counts_of_a_network() -> None:
 
 def test_nothing_to_time_is_an_error() -> None:
     for wrong in ({"repeats": 0}, {"warmup": 0}):
-        with pytest.raises(InputError, match="at least 1 of each"):
+        with pytest.raises(InputError, match=r"at least 1 of each"):
             run_benchmark([takes(1.0)], **wrong)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="0 candidates"):
+    with pytest.raises(InputError, match=r"0 candidates"):
         run_benchmark([])

@@ -57,7 +57,7 @@ def test_the_confidence_belongs_to_the_regression() -> None:
 def test_the_clock_is_taken_off_after_an_error() -> None:
     model = build_model("coex", max_disparity=64).eval()
     clock = SlotClock()
-    with pytest.raises(Exception, match="RGB"), StageClock(model, clock=clock):
+    with pytest.raises(Exception, match=r"RGB"), StageClock(model, clock=clock):
         model(torch.rand(1, 1, 32, 64), torch.rand(1, 1, 32, 64))
     readings = clock.readings
     with torch.inference_mode():

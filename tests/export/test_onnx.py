@@ -55,8 +55,8 @@ def test_the_file_says_what_it_holds(exported, tiny):
         for value in (*model.graph.input, *model.graph.output)
     }
     assert shapes == {
-        **dict.fromkeys(("left", "right"), [1, 3, "height", "width"]),
-        **dict.fromkeys(("disparity", "confidence"), [1, "height", "width"]),
+        **{key: [1, 3, "height", "width"] for key in ("left", "right")},
+        **{key: [1, "height", "width"] for key in ("disparity", "confidence")},
     }
     assert os.sep + "stereokit" not in exported.path.read_bytes().decode("latin-1"), "a path of this machine"
 
@@ -128,7 +128,7 @@ def test_bad_requests_are_refused_and_leave_nothing(tiny, tmp_path):
     ):
         with pytest.raises(error, match=message):
             export_onnx(tiny, tmp_path / path, **arguments)
-    with pytest.raises(ConfigError, match="takes a network; got str"):
+    with pytest.raises(ConfigError, match=r"takes a network; got str"):
         export_onnx("coex", tmp_path / "a.onnx")
     assert [path.name for path in tmp_path.iterdir()] == ["taken.onnx"]
     assert (tmp_path / "taken.onnx").read_text() == "precious"
@@ -144,7 +144,7 @@ class Noisy(nn.Module):
 
 def test_a_file_that_is_wrong_is_not_kept(tmp_path):
     (tmp_path / "old.onnx").write_text("precious")
-    with pytest.raises(ConfigError, match="wrong and was not kept: random texture, .* at 1e\\+02 %"):
+    with pytest.raises(ConfigError, match=r"wrong and was not kept: random texture, .* at 1e\+02 %"):
         export_onnx(Noisy(), tmp_path / "old.onnx", overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["old.onnx"]
     assert (tmp_path / "old.onnx").read_text() == "precious"
@@ -183,7 +183,7 @@ def test_files_of_others_and_of_newer_versions_are_refused(exported, tmp_path):
             Predictor(tmp_path / "other.onnx")
     del model.metadata_props[:]
     onnx.save(model, tmp_path / "other.onnx")
-    with pytest.raises(CheckpointError, match="was not written by stereokit"):
+    with pytest.raises(CheckpointError, match=r"was not written by stereokit"):
         Predictor(tmp_path / "other.onnx")
 
 

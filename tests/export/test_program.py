@@ -15,13 +15,13 @@ def test_the_program_runs_without_stereokit(tiny, tmp_path):
     disparity, confidence = torch.export.load(tmp_path / "tiny.pt2").module()(left, right)
     torch.testing.assert_close(disparity, tiny(left, right).disparity)
     torch.testing.assert_close(confidence, tiny(left, right).confidence)
-    with pytest.raises(CheckpointError, match="is a file"):
+    with pytest.raises(CheckpointError, match=r"is a file"):
         Predictor(tmp_path / "tiny.pt2")
 
 
 def test_bad_requests_are_refused_and_leave_nothing(tiny, tmp_path):
-    with pytest.raises(InputError, match="does not end in .pt2"):
+    with pytest.raises(InputError, match=r"does not end in .pt2"):
         export_program(tiny, tmp_path / "a.onnx")
-    with pytest.raises(ConfigError, match="wrong and was not kept"):
+    with pytest.raises(ConfigError, match=r"wrong and was not kept"):
         export_program(Noisy(), tmp_path / "a.pt2")
     assert not list(tmp_path.iterdir())
