@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn, get_args
 
 import numpy as np
 from tqdm import tqdm
@@ -26,6 +26,7 @@ from stereokit.model import MIN_SIZE, StereoModel
 from stereokit.published import NETWORKS, ConversionReport, convert_published
 from stereokit.registry import MODELS, REGISTRIES, list_components
 from stereokit.summary import model_summary
+from stereokit.tiling import TooLarge
 from stereokit.training import command as training_command
 from stereokit.weights import default_weights, list_weights, load_weights, read_manifest
 
@@ -90,6 +91,15 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     predict.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
     predict.add_argument("--backend", default="auto", help=BACKEND_HELP)
+    predict.add_argument(
+        "--max-memory", metavar="SIZE", help="that a pair may take, such as 4GiB (default: what is free)"
+    )
+    predict.add_argument(
+        "--too-large",
+        choices=get_args(TooLarge),
+        default="error",
+        help="what becomes of a pair that needs more: refused, matched in tiles, or at a reduced resolution",
+    )
     predict.add_argument("--overwrite", action="store_true", help="replace existing results")
     predict.set_defaults(run=_predict)
 
@@ -162,7 +172,7 @@ def _add_published_options(parser: argparse.ArgumentParser) -> None:
 def _predict(options: argparse.Namespace) -> None:
     pairs = match_pairs(options.left, options.right)
     check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
-    predictor = _load_predictor(options)
+    predictor = _load_predictor(options, max_memory=options.max_memory, too_large=options.too_large)
     if len(pairs) > 1:
         # now rather than after the first pair is matched
         make_folder(options.out)
@@ -201,12 +211,12 @@ def _check_data(options: argparse.Namespace) -> None:
         raise InputError(f"{len(report.broken)} of {report.pairs} pairs are broken")
 
 
-def _load_predictor(options: argparse.Namespace) -> Predictor:
+def _load_predictor(options: argparse.Namespace, **limits: Any) -> Predictor:
     if not is_exported(options.weights):
-        return Predictor(_load_network(options), options.device, options.backend)
+        return Predictor(_load_network(options), options.device, options.backend, **limits)
     if any(value is not None for value in (options.model, options.channel_order, options.top_k)):
         raise ConfigError("an exported file knows its network; leave out --model, --channel-order and --top-k")
-    return Predictor(options.weights, options.device, options.backend)
+    return Predictor(options.weights, options.device, options.backend, **limits)
 
 
 def _load_network(options: argparse.Namespace) -> StereoModel:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.opening import FILE_BACKENDS, check_backend, is_exported, open_backend
@@ -18,14 +18,19 @@ from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inputs import ImageLike, to_pair
-from stereokit.model import MIN_SIZE, StereoModel
+from stereokit.memory import MemorySize
+from stereokit.model import MIN_SIZE, StereoModel, StereoOutput
 from stereokit.registry import MODELS, WEIGHTS
+from stereokit.tiling import BoundedMatcher, TooLarge
 from stereokit.viz import picture_with_scale
 from stereokit.weights import default_weights, load_weights
 
 __all__ = ["DisparityResult", "Predictor", "choose_device"]
 
 KITTI_MAX = 65535 / 256
+
+LARGE = 500_000
+"""Pixels from which on a pair's need of memory is estimated first, which takes a second for each new size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +147,10 @@ class Predictor:
             "torch" for a network.
         precision: "float32", "bfloat16" or "float16" for the arithmetic, where the backend can; float32, or that of
             the exported file, by default.
+        max_memory: bytes, or a text such as "4GiB", that matching a pair may take beside the weights; by default what
+            is free on the device, looked at for large pairs.
+        too_large: what becomes of a pair that needs more: "error" says how much and what would do, "tile" matches it
+            in overlapping tiles, "reduce" at a reduced resolution; see `stereokit.tiling`.
 
     Raises:
         ConfigError: the device or the backend is unknown, absent, or not for this model.
@@ -160,12 +169,23 @@ class Predictor:
         backend: str = "auto",
         *,
         precision: str | None = None,
+        max_memory: MemorySize | None = None,
+        too_large: TooLarge = "error",
     ) -> None:
+        if is_exported(model) and (max_memory is not None or too_large != "error"):
+            raise ConfigError(
+                "max_memory and too_large are for networks that torch runs; stereokit.tiling.match_tiles cuts pairs "
+                "for anything that matches them"
+            )
         if not is_exported(model):
             check_backend(backend)
             device = choose_device(device)
             model = model if isinstance(model, nn.Module) else _saved_network(model)
         self.backend = open_backend(model, device, backend, precision)
+        self._always_plan = max_memory is not None
+        self._bounded: BoundedMatcher | None = None
+        if isinstance(model, nn.Module):
+            self._bounded = BoundedMatcher(model, run=self._run, max_memory=max_memory, tiles=too_large)
 
     @property
     def device(self) -> torch.device:
@@ -197,12 +217,25 @@ class Predictor:
         height, width = left.shape[-2:]
         if min(height, width) < MIN_SIZE:
             raise InputError(f"the images are {width} x {height} pixels; at least {MIN_SIZE} x {MIN_SIZE} are needed")
+        if self._bounded is not None and (self._always_plan or height * width > LARGE):
+            plan = self._bounded.plan(height, width)
+            if plan.how != "whole":
+                start = time.perf_counter()
+                output = self._bounded(left, right)
+                confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
+                return DisparityResult(output.disparity[0].cpu().numpy(), confidence, time.perf_counter() - start)
         preparation_seconds = self.backend.prepare(left, right)
         start = time.perf_counter()
-        disparity, confidence = self.backend(left, right)
+        estimate = self.backend(left, right)
         seconds = time.perf_counter() - start
-        return DisparityResult(
-            disparity[0], None if confidence is None else confidence[0], seconds, preparation_seconds
+        confidence = None if estimate.confidence is None else estimate.confidence[0]
+        return DisparityResult(estimate.disparity[0], confidence, seconds, preparation_seconds)
+
+    def _run(self, left: Tensor, right: Tensor) -> StereoOutput:
+        """The backend, as a part of a pair is matched."""
+        disparity, confidence = self.backend(left, right)
+        return StereoOutput(
+            torch.from_numpy(disparity), confidence=None if confidence is None else torch.from_numpy(confidence)
         )
 
 

@@ -23,7 +23,12 @@ HELD_OUT = 4
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `stereokit export`, less those of published checkpoints, which several commands share."""
-    parser.add_argument("weights", metavar="WEIGHTS", help="folder of a saved network, or published checkpoint")
+    parser.add_argument(
+        "weights",
+        nargs="?",
+        metavar="WEIGHTS",
+        help="folder of a saved network, published checkpoint, or a name of stereokit list weights (default: coex's)",
+    )
     parser.add_argument("--model", help="name of the network that a published checkpoint is for (default: coex)")
     parser.add_argument("--to", required=True, choices=SUFFIXES, help="ONNX, OpenVINO, or a program of torch.export")
     parser.add_argument("--out", required=True, metavar="FILE", help=f"ends in {', '.join(SUFFIXES.values())}")
