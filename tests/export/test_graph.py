@@ -30,7 +30,7 @@ def test_a_block_that_can_not_be_traced_is_named_on_one_line(block, capfd):
 
 
 def test_an_error_outside_the_network_names_no_block():
-    with pytest.raises(ConfigError, match="^the network can't be exported: lost"), naming_block(ExportGraph(Tiny())):
+    with pytest.raises(ConfigError, match=r"^the network can't be exported: lost"), naming_block(ExportGraph(Tiny())):
         raise RuntimeError("lost")
 
 
