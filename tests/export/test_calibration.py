@@ -26,9 +26,9 @@ def test_rendered_scenes_have_the_size_and_differ():
 
 
 def test_what_is_no_source_is_refused(tmp_path):
-    with pytest.raises(InputError, match="got 3 names"):
+    with pytest.raises(InputError, match=r"got 3 names"):
         find_pairs(["a", "b", "c"], 1, nn.Identity(), None)
-    with pytest.raises(InputError, match="at least 1 pair"):
+    with pytest.raises(InputError, match=r"at least 1 pair"):
         find_pairs(["synthetic"], 0, nn.Identity(), None)
     with pytest.raises(InputError):
         find_pairs(["nonsense"], 1, nn.Identity(), None)

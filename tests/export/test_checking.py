@@ -43,9 +43,9 @@ def test_a_difference_is_what_was_added(by, share):
 def test_ties_are_forgiven_and_more_is_not():
     model = Tiny().eval()
     check_exact(compare(Shifted(model, 9, OUTLIERS / 2), model, PAIR))
-    with pytest.raises(ConfigError, match="wrong and was not kept: a pair, 50 x 40 px"):
+    with pytest.raises(ConfigError, match=r"wrong and was not kept: a pair, 50 x 40 px"):
         check_exact(compare(Shifted(model, 0.02, 2 * OUTLIERS), model, PAIR))
-    with pytest.raises(ConfigError, match="not finite"):
+    with pytest.raises(ConfigError, match=r"not finite"):
         compare(Shifted(model, np.nan, 0.01), model, PAIR)
 
 

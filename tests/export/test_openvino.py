@@ -68,7 +68,7 @@ def test_bad_requests_are_refused_and_leave_nothing(tiny, tmp_path):
     ):
         with pytest.raises(error, match=message):
             export_openvino(tiny, tmp_path / "a.xml", **arguments)
-    with pytest.raises(InputError, match=r"does not end in .xml"):
+    with pytest.raises(InputError, match=r"does not end in \.xml"):
         export_openvino(tiny, tmp_path / "a.onnx")
     (tmp_path / "a.bin").write_text("precious")
     with pytest.raises(InputError, match=r"a\.bin' exists already"):
