@@ -90,13 +90,22 @@ def test_predict_goes_on_after_a_broken_pair(capsys: pytest.CaptureFixture[str],
     assert len(list((images / "out").iterdir())) == 4
 
 
-def test_predict_without_weights_says_that_the_network_is_untrained(
-    capsys: pytest.CaptureFixture[str], images: Path
-) -> None:
-    said = fails(capsys, "predict", images / "left/a.png", images / "right/a.png", "--out", images / "out")
-    assert "untrained" in said
-    assert "--weights" in said
+def test_predict_says_which_networks_have_weights(capsys: pytest.CaptureFixture[str], images: Path) -> None:
+    pair = images / "left/a.png", images / "right/a.png"
+    said = fails(capsys, "predict", *pair, "--model", "psmnet", "--out", images / "out")
+    assert "no weights for 'psmnet'; there are coex.synthetic_v1" in said
+    assert "give --weights" in said
+    said = fails(capsys, "predict", *pair, "--model", "psmnet", "--weights", "coex.synthetic_v1")
+    assert "are no weights of a psmnet" in said
+    said = fails(capsys, "predict", *pair, "--top-k", "3", "--out", images / "out")
+    assert "are for published checkpoints" in said
     assert not (images / "out").exists()
+
+
+def test_predict_without_weights_takes_those_of_the_library(capsys: pytest.CaptureFixture[str], images: Path) -> None:
+    code, said, _ = run(capsys, "predict", images / "left/a.png", images / "right/a.png", "--out", images / "out")
+    assert code == 0
+    assert "50 x 40 px" in said
 
 
 def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:

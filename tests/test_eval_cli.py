@@ -113,7 +113,7 @@ def test_nothing_is_overwritten_or_half_done(capsys: pytest.CaptureFixture[str],
     ("arguments", "message"),
     [
         (("--model", "sgbmm"), "did you mean 'sgbm'"),
-        (("--model", "coex"), "untrained"),
+        (("--model", "psmnet"), "no weights for 'psmnet'"),
         (("--model", "sgbm", "--weights", "x"), "takes no --weights"),
         (("--model", "sgbm", "--channel-order", "rgb"), "takes no --channel-order"),
         (("--model", "sgbm", "--device", "cuda"), "leave out --device"),

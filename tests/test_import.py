@@ -37,18 +37,32 @@ PUBLIC_NAMES = [
     "TopKSoftArgmin",
     "UNet",
     "UPSAMPLERS",
+    "WEIGHTS",
     "__version__",
     "build_model",
     "coex",
     "gcnet",
     "list_components",
     "list_models",
+    "list_weights",
     "load_published",
+    "load_weights",
     "psmnet",
     "stereo_loss",
 ]
 
-NOT_CORE = ["lightning", "pytorch_lightning", "matplotlib", "gradio", "onnx", "onnxruntime", "tensorboard", "pandas"]
+NOT_CORE = [
+    "lightning",
+    "pytorch_lightning",
+    "matplotlib",
+    "gradio",
+    "onnx",
+    "onnxruntime",
+    "openvino",
+    "nncf",
+    "tensorboard",
+    "pandas",
+]
 COSTLY = ["timm", "torchvision"]
 
 

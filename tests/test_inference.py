@@ -62,8 +62,8 @@ def test_it_reads_a_saved_network(tmp_path: Path, coex: Predictor) -> None:
         Predictor(tmp_path / "nowhere")
     with pytest.raises(CheckpointError, match=r"is read by stereokit\.load_published"):
         Predictor(tmp_path / "model.safetensors")
-    with pytest.raises(CheckpointError, match="names a network without weights"):
-        Predictor("coex")
+    with pytest.raises(ConfigError, match="no weights for 'gcnet'"):
+        Predictor("gcnet")
     with pytest.raises(ConfigError, match="got NoneType"):
         Predictor(None)  # type: ignore[arg-type]
 

@@ -4,15 +4,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
+from stereokit.backends import open_backend
 from stereokit.benchmark.precision import dtype_of
 from stereokit.builder import build_model
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
+from stereokit.export import export_onnx, export_openvino
 from stereokit.model import StereoModel
 from stereokit.published import NETWORKS, load_published
 from stereokit.registry import list_models, suggest
@@ -85,6 +88,37 @@ def compiled(network: nn.Module, candidate: Candidate, device: torch.device) -> 
     return ready
 
 
+def onnxruntime(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
+    """The network as an ONNX file for the one size, in ONNX Runtime."""
+    return _exported(network, candidate, device, "onnx")
+
+
+def openvino(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
+    """The network as an OpenVINO file for the one size."""
+    return _exported(network, candidate, device, "openvino")
+
+
+def _exported(network: nn.Module, candidate: Candidate, device: torch.device, to: str) -> Ready:
+    if candidate.batch != 1:
+        raise ConfigError(f"exported files take one pair at a time; got a batch of {candidate.batch}")
+    size = candidate.height, candidate.width
+    folder = TemporaryDirectory()
+    if to == "onnx":
+        if candidate.precision != "float32":
+            raise ConfigError(f"ONNX files compute in float32; got {candidate.precision}")
+        path = export_onnx(network, f"{folder.name}/network.onnx", size=size).path
+    else:
+        path = export_openvino(
+            network, f"{folder.name}/network.xml", size=size, precision=candidate.precision
+        ).path
+    backend = open_backend(path, device)
+
+    def match(left: Tensor, right: Tensor, _kept: object = folder) -> object:
+        return backend(left, right)
+
+    return match
+
+
 def opencv(matcher: Any, candidate: Candidate, device: torch.device) -> Ready:
     """A matcher of images in memory, one pair after the other."""
 
@@ -98,6 +132,8 @@ def opencv(matcher: Any, candidate: Candidate, device: torch.device) -> Ready:
 BACKENDS: Mapping[str, Callable[[Any, Candidate, torch.device], Ready]] = {
     "eager": eager,
     "compile": compiled,
+    "onnxruntime": onnxruntime,
+    "openvino": openvino,
     "opencv": opencv,
 }
 """What runs a candidate: a function from what its source made, itself and the device to what is timed. To know a
