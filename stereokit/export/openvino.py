@@ -63,6 +63,7 @@ def export_openvino(
     >>> export_openvino(build_model("coex"), "coex.xml", precision="bfloat16")  # doctest: +SKIP
     """
     target = check_target(path, ".xml", overwrite=overwrite)
+    weights = check_target(target.with_suffix(".bin"), ".bin", overwrite=overwrite)
     if precision not in PRECISIONS:
         raise ConfigError(f"precision {precision!r} can't be exported; {', '.join(PRECISIONS)} would do")
     _check_calibration(precision, calibration, size)
@@ -75,7 +76,6 @@ def export_openvino(
             # a random texture is unlike what the ranges were measured on
             default = {f"calibration pair {i}": pair for i, pair in enumerate(calibration[:4])}
             chosen = list((pairs or default).items())
-        weights = target.with_suffix(".bin")
         # the weights are in place before the graph that reads them
         with atomic_path(target, overwrite=overwrite) as xml, atomic_path(weights, overwrite=overwrite) as binary:
             openvino.serialize(converted, str(xml), str(binary))

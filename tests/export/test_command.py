@@ -72,11 +72,11 @@ def test_eval_takes_the_file_and_records_it(exported, tmp_path):
         2,
     ]
     assert main([str(a) for a in arguments]) == 0
-    record = json.loads(next((tmp_path / "out").glob("*.json")).read_text())
-    assert record["matcher"]["backend"] == "onnxruntime"
-    assert record["matcher"]["export"]["size"] == [40, 64]
-    assert record["matcher"]["configuration"]["name"] == "coex"
-    assert len(record["matcher"]["weights_file_sha256"]) == 64
+    record = json.loads((tmp_path / "out/evaluation.json").read_text())["model"]
+    assert record["backend"] == "onnxruntime"
+    assert record["export"]["size"] == [40, 64]
+    assert record["configuration"]["name"] == "coex"
+    assert len(record["weights_file_sha256"]) == 64
 
 
 def test_bad_requests_are_one_line(weights, exported, images, tmp_path, capsys):

@@ -95,6 +95,11 @@ def test_a_fixed_size_takes_no_other(tiny, tmp_path):
         predict(*random_pair(60, 50))
 
 
+def test_a_file_holds_no_module(exported):
+    with pytest.raises(ConfigError, match="backend 'onnxruntime' runs an exported file, which holds no torch module"):
+        _ = Predictor(exported.path).model
+
+
 def test_a_network_without_confidence_has_one_output(tmp_path):
     class Bare(nn.Module):
         def forward(self, left, right):

@@ -56,7 +56,7 @@ def test_int8_is_near_and_says_how_near(tiny, tmp_path):
 def test_bad_requests_are_refused_and_leave_nothing(tiny, tmp_path):
     pair = [random_pair(64, 96)]
     for arguments, error, message in (
-        ({"precision": "int8"}, ConfigError, "int8 needs pairs .* --calibrate synthetic"),
+        ({"precision": "int8"}, ConfigError, "int8 needs pairs .*--calibrate synthetic"),
         ({"precision": "int8", "calibration": []}, ConfigError, "int8 needs pairs"),
         ({"precision": "int4"}, ConfigError, "float32, bfloat16, int8 would do"),
         ({"calibration": pair}, ConfigError, "calibration is for precision 'int8' alone"),
