@@ -1,5 +1,6 @@
 """Evaluates matchers on eleven real pairs and prints one table of their errors.
 
+    python benchmarks/real_pairs.py --weights coex.synthetic_v1
     python benchmarks/real_pairs.py --weights coex.ckpt --channel-order rgb
 
 The scenes are from Middlebury, SceneFlow, ETH3D and KITTI 2012. All pixels with known ground truth count, occluded ones
@@ -7,15 +8,18 @@ too. OpenCV's semi-global matcher with 8 and 5 paths, holes filled, stands besid
 """
 
 import argparse
+import json
 import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
-from stereokit import StereoKitError, StereoModel, load_published
+from stereokit import StereoKitError, StereoModel, list_weights, load_published, load_weights
 from stereokit.data import read_disparity
+from stereokit.data.atomic import atomic_path
 from stereokit.data.datasets import Source, StereoDataset, StereoEntry, open_dataset
 from stereokit.evaluation import SGBM_VARIANTS, Evaluation, Matcher, NetworkMatcher, evaluate
 from stereokit.inference import Predictor
@@ -36,21 +40,23 @@ MIDDLEBURY = {
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("root", nargs="?", type=Path, default=ROOT, help="folder of the scenes (default: %(default)s)")
-    parser.add_argument("--weights", action="append", default=[], help="saved network or published checkpoint; repeat")
+    parser.add_argument("--weights", action="append", default=[], help="as stereokit eval takes them; repeat")
     parser.add_argument("--network", default="coex", help="of published checkpoints (default: coex)")
     parser.add_argument("--channel-order", default="bgr", choices=("bgr", "rgb"), help="of published checkpoints")
     parser.add_argument("--device", default="auto")
+    parser.add_argument("--json", type=Path, help="file for the numbers of the first matcher")
     options = parser.parse_args()
     try:
         scenes = StereoDataset("real pairs", options.root, "all", list(real_pairs(options.root)))
         matchers: dict[str, Matcher] = {}
         for weights in options.weights:
-            model = (
-                StereoModel.from_pretrained(weights)
-                if Path(weights).is_dir()
-                else load_published(weights, options.network, options.channel_order)
-            )
-            stem = Path(weights).stem
+            if weights in list_weights():
+                model = load_weights(weights)
+            elif Path(weights).is_dir():
+                model = StereoModel.from_pretrained(weights)
+            else:
+                model = load_published(weights, options.network, options.channel_order)
+            stem = weights if weights in list_weights() else Path(weights).stem
             matchers[weights if stem in matchers else stem] = NetworkMatcher(
                 Predictor(model, options.device), weights=weights
             )
@@ -64,6 +70,9 @@ def main() -> int:
         print(f"real_pairs: {error}", file=sys.stderr)
         return 2
     print(table(results))
+    if options.json is not None:
+        with atomic_path(options.json, overwrite=True) as temporary:
+            temporary.write_text(json.dumps(numbers(next(iter(results.values()))), indent=2) + "\n", encoding="utf-8")
     return 0
 
 
@@ -77,6 +86,16 @@ def real_pairs(root: Path) -> Iterator[StereoEntry]:
         for entry in open_dataset(f"{spec}:{root / kind}").entries:
             label = f"{name} {Path(entry.name).name}"
             yield StereoEntry(label, entry.left, entry.right, disparity=entry.disparity)
+
+
+def numbers(evaluation: Evaluation) -> dict[str, Any]:
+    dataset = evaluation.datasets[0]
+    return {
+        "command": "python benchmarks/real_pairs.py --weights WEIGHTS",
+        "mean_bad_3": round(dataset.metrics["bad_3_per_image"], 3),
+        "mean_epe": round(dataset.metrics["epe_per_image"], 3),
+        "bad_3": {pair.name: round(pair.metrics["bad_3"], 2) for pair in dataset.pairs},
+    }
 
 
 def table(results: dict[str, Evaluation]) -> str:

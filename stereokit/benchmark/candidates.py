@@ -108,9 +108,7 @@ def _exported(network: nn.Module, candidate: Candidate, device: torch.device, to
             raise ConfigError(f"ONNX files compute in float32; got {candidate.precision}")
         path = export_onnx(network, f"{folder.name}/network.onnx", size=size).path
     else:
-        path = export_openvino(
-            network, f"{folder.name}/network.xml", size=size, precision=candidate.precision
-        ).path
+        path = export_openvino(network, f"{folder.name}/network.xml", size=size, precision=candidate.precision).path
     backend = open_backend(path, device)
 
     def match(left: Tensor, right: Tensor, _kept: object = folder) -> object:
