@@ -97,19 +97,22 @@ def find_chains(model: nn.Module, run: Callable[[nn.Module], Any]) -> list[Chain
     for call in recording.calls:
         calls[call.path].append(call)
     readers = defaultdict(list)
-    for call in recording.calls:
+    for call in sorted(recording.calls, key=lambda call: call.first):
         readers[id(call.inputs[0])].append(call)
 
     def follower(path: str, suits: Callable[[nn.Module], bool]) -> str | None:
-        """The module that reads the output of each call, and nothing else does; and that reads nothing else."""
-        after = [r for call in calls[path] for r in readers[id(call.output)] if r.first >= call.end]
-        paths = {reader.path for reader in after}
-        if len(paths) != 1 or len(after) != len(calls[path]):
+        """The module that reads the output of each call before anything else does, if it reads nothing else."""
+        pairs = []
+        for call in calls[path]:
+            reader = next((r for r in readers[id(call.output)] if r.first >= call.end), None)
+            if reader is None or not alone(call, reader):
+                return None
+            pairs.append(reader)
+        paths = {reader.path for reader in pairs}
+        next_path = paths.pop()
+        if paths or len(calls[next_path]) != len(pairs) or not suits(modules[next_path]) or not private(next_path):
             return None
-        (next_path,) = paths
-        if len(calls[next_path]) != len(after) or not suits(modules[next_path]) or not private(next_path):
-            return None
-        return next_path if all(map(alone, calls[path], after)) else None
+        return next_path
 
     def private(path: str) -> bool:
         """Whether only the module itself reads its weights."""
@@ -118,12 +121,10 @@ def find_chains(model: nn.Module, run: Callable[[nn.Module], Any]) -> list[Chain
         return all(any(i in span for span in own) for t in tensors for i in recording.readers[id(t)])
 
     def alone(call: Call, reader: Call) -> bool:
-        if reader.inputs[0] is not call.output:
-            return False
-        in_place = reader.output is call.output
+        """Whether nothing but the reader sees what a call gave."""
         others = [i for i in recording.readers[id(call.output)] if i >= call.end and not reader.first <= i < reader.end]
-        if in_place:
-            # those that come later read the result
+        if reader.output is call.output:
+            # written in place: those that come later read the result
             return all(i >= reader.end for i in others)
         return not others and id(call.output) not in recording.results
 
