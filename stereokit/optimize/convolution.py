@@ -1,7 +1,6 @@
 """A convolution with its batch norm folded in and its activation applied on the way out."""
 
 from collections.abc import Callable
-from functools import cache
 from typing import NamedTuple, TypeAlias
 
 import torch
@@ -143,7 +142,8 @@ class FusedConvolution(nn.Module):
         self.subpixel = on_cpu and is_narrow_doubling(conv)
         self.by_slices = on_cpu and is_narrow_3d(conv)
         if self.subpixel:
-            weight, bias = subpixel_weight(weight), repeat_bias(bias, 2 ** len(conv.kernel_size))
+            weight = subpixel_weight(weight)
+            bias = None if bias is None else bias.repeat(2 ** len(conv.kernel_size))
         elif self.by_slices:
             # (1, C, kd, kh, kw) to (kd, C, kh, kw)
             weight = weight.squeeze(0).transpose(0, 1)
@@ -208,10 +208,9 @@ def calls_onednn(x: Tensor) -> bool:
     """Whether oneDNN is called directly: on the CPU, without a gradient, and not in a program made for elsewhere."""
     return (
         x.device.type == "cpu"
-        and x.dtype in (torch.float32, torch.bfloat16, torch.float16)
+        and x.dtype in ONEDNN_TYPES
         and not (torch.is_grad_enabled() and x.requires_grad)
         and not torch.compiler.is_exporting()
-        and onednn_takes(x.dtype)
     )
 
 
@@ -283,23 +282,14 @@ def subpixel_weight(weight: Tensor) -> Tensor:
     return weight.permute(*parities, 1, 0, *taps).flatten(0, dims)
 
 
-def repeat_bias(bias: Tensor | None, times: int) -> Tensor | None:
-    """The same bias for each of the parities."""
-    return None if bias is None else bias.repeat(times)
-
-
-@cache
-def onednn_takes(dtype: torch.dtype) -> bool:
-    """Whether oneDNN's convolutions are here and take numbers of this type on this processor."""
-    if not torch.backends.mkldnn.is_available() or not hasattr(torch.ops.mkldnn, "_convolution_pointwise"):
-        return False
-    return dtype == torch.float32 or cpu_has(dtype)
-
-
 def cpu_has(dtype: torch.dtype) -> bool:
-    """Whether the processor has instructions for convolutions in half precision."""
-    if not torch.backends.mkldnn.is_available():
-        return False
+    """Whether oneDNN is here, and the processor has instructions for convolutions of this type."""
     operators = torch.ops.mkldnn
+    if not torch.backends.mkldnn.is_available() or not hasattr(operators, "_convolution_pointwise"):
+        return False
     names = {torch.bfloat16: "_is_mkldnn_bf16_supported", torch.float16: "_is_mkldnn_fp16_supported"}
-    return bool(getattr(operators, names[dtype])())
+    return dtype == torch.float32 or (dtype in names and bool(getattr(operators, names[dtype])()))
+
+
+# looked up once, so that the compiler sees a constant
+ONEDNN_TYPES = frozenset(filter(cpu_has, (torch.float32, torch.bfloat16, torch.float16)))
