@@ -1,7 +1,8 @@
 """A convolution with its batch norm folded in and its activation applied on the way out."""
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Sequence
+from functools import reduce
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
 from torch import Tensor, nn
@@ -45,13 +46,13 @@ def fusable_activation(module: nn.Module) -> Activation | None:
     >>> fusable_activation(nn.LeakyReLU(0.2)).numbers, fusable_activation(nn.Softmax(1))
     ((0.2,), None)
     """
-    # subclasses may compute something else
+    # by exact type: subclasses may compute something else
     kind = type(module)
-    if kind is nn.LeakyReLU:
+    if isinstance(module, nn.LeakyReLU) and kind is nn.LeakyReLU:
         return Activation("leaky_relu", (float(module.negative_slope),))
-    if kind is nn.ReLU6 or kind is nn.Hardtanh:
+    if isinstance(module, nn.Hardtanh) and kind in (nn.Hardtanh, nn.ReLU6):
         return Activation("hardtanh", (float(module.min_val), float(module.max_val)))
-    names = {nn.Identity: "none", nn.ReLU: "relu", nn.Hardswish: "hardswish", nn.SiLU: "swish"}
+    names: dict[type, str] = {nn.Identity: "none", nn.ReLU: "relu", nn.Hardswish: "hardswish", nn.SiLU: "swish"}
     return Activation(names[kind]) if kind in names else None
 
 
@@ -77,7 +78,8 @@ def fold_batch_norm(conv: Convolution, norm: nn.BatchNorm2d | nn.BatchNorm3d) ->
     Returns:
         Detached copies, in the type of the convolution.
     """
-    assert norm.running_mean is not None and norm.running_var is not None
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
     weight = conv.weight.detach().double()
     scale = (norm.running_var.double() + norm.eps).rsqrt()
     shift = -norm.running_mean.double() * scale
@@ -88,7 +90,7 @@ def fold_batch_norm(conv: Convolution, norm: nn.BatchNorm2d | nn.BatchNorm3d) ->
         shift = shift + conv.bias.detach().double() * scale
     if conv.transposed:
         # (in, out / groups, ..): the output channels of one group after the other
-        by_group = weight.unflatten(0, (conv.groups, -1))
+        by_group = weight.reshape(conv.groups, -1, *weight.shape[1:])
         factors = scale.reshape(conv.groups, 1, -1, *[1] * len(conv.kernel_size))
         weight = (by_group * factors).flatten(0, 1)
     else:
@@ -130,8 +132,8 @@ class FusedConvolution(nn.Module):
         super().__init__()
         self.in_channels, self.out_channels = conv.in_channels, conv.out_channels
         self.kernel_size, self.groups, self.transposed = conv.kernel_size, conv.groups, conv.transposed
-        self.stride, self.padding, self.dilation = list(conv.stride), list(conv.padding), list(conv.dilation)
-        self.output_padding = list(conv.output_padding)
+        self.stride, self.padding = sizes(conv.stride), sizes(conv.padding)
+        self.dilation, self.output_padding = sizes(conv.dilation), sizes(conv.output_padding)
         self.activation = activation or NO_ACTIVATION
         if norm is None:
             weight = conv.weight.detach()
@@ -161,15 +163,18 @@ class FusedConvolution(nn.Module):
         return self._transposed(x) if self.transposed else self._convolved(x)
 
     def _convolved(self, x: Tensor) -> Tensor:
-        settings = (self.padding, self.stride, self.dilation, self.groups)
-        return convolve(x, self.weight, self.bias, *settings, self.activation)
+        return convolve(
+            x, self.weight, self.bias, self.padding, self.stride, self.dilation, self.groups, self.activation
+        )
 
     def _transposed(self, x: Tensor) -> Tensor:
         x = x.contiguous(memory_format=self.memory_format)
         if not calls_onednn(x):
             conv = F.conv_transpose2d if x.dim() == 4 else F.conv_transpose3d
-            sizes = (self.stride, self.padding, self.output_padding, self.groups, self.dilation)
-            return self.activation.apply(conv(x, self.weight, self.bias, *sizes))
+            y = conv(
+                x, self.weight, self.bias, self.stride, self.padding, self.output_padding, self.groups, self.dilation
+            )
+            return self.activation.apply(y)
         settings = (self.padding, self.output_padding, self.stride, self.dilation, self.groups)
         return torch.ops.mkldnn._convolution_transpose_pointwise(
             x, self.weight, self.bias, *settings, self.activation.name, list(self.activation.numbers), ""
@@ -190,9 +195,9 @@ class FusedConvolution(nn.Module):
         batch, depth = x.shape[0], x.shape[2]
         slices = x.transpose(1, 2).flatten(0, 1)
         y = convolve(slices, self.weight, None, self.padding[1:], self.stride[1:], self.dilation[1:], 1, NO_ACTIVATION)
-        y = F.pad(y.unflatten(0, (batch, depth)), (0, 0, 0, 0, 0, 0, self.padding[0], self.padding[0]))
+        y = F.pad(y.reshape(batch, depth, *y.shape[1:]), (0, 0, 0, 0, 0, 0, self.padding[0], self.padding[0]))
         levels = depth + 2 * self.padding[0] - self.kernel_size[0] + 1
-        total = sum(y[:, k : k + levels, k] for k in range(self.kernel_size[0])).unsqueeze(1)
+        total = reduce(torch.add, (y[:, k : k + levels, k] for k in range(self.kernel_size[0]))).unsqueeze(1)
         return self.activation.apply(total if self.bias is None else total + self.bias)
 
     def extra_repr(self) -> str:
@@ -202,6 +207,11 @@ class FusedConvolution(nn.Module):
             f"{self.in_channels}, {self.out_channels}, {kind}kernel_size={self.kernel_size}, "
             f"stride={tuple(self.stride)}, activation={self.activation.name}"
         )
+
+
+def sizes(values: Sequence[Any]) -> list[int]:
+    """The sizes of a convolution, one per dimension."""
+    return [int(value) for value in values]
 
 
 def calls_onednn(x: Tensor) -> bool:
@@ -277,7 +287,9 @@ def subpixel_weight(weight: Tensor) -> Tensor:
     parity, tap = torch.meshgrid(torch.arange(2), torch.arange(2), indexing="ij")
     for dim in range(dims):
         # each (4,) becomes (parity, tap)
-        weight = weight.movedim(2 + 2 * dim, -1)[..., 3 - parity - 2 * tap].movedim((-2, -1), (2 + 2 * dim, 3 + 2 * dim))
+        weight = weight.movedim(2 + 2 * dim, -1)[..., 3 - parity - 2 * tap].movedim(
+            (-2, -1), (2 + 2 * dim, 3 + 2 * dim)
+        )
     parities, taps = range(2, 2 + 2 * dims, 2), range(3, 3 + 2 * dims, 2)
     return weight.permute(*parities, 1, 0, *taps).flatten(0, dims)
 
@@ -285,7 +297,8 @@ def subpixel_weight(weight: Tensor) -> Tensor:
 def cpu_has(dtype: torch.dtype) -> bool:
     """Whether oneDNN is here, and the processor has instructions for convolutions of this type."""
     operators = torch.ops.mkldnn
-    if not torch.backends.mkldnn.is_available() or not hasattr(operators, "_convolution_pointwise"):
+    available = torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
+    if not available or not hasattr(operators, "_convolution_pointwise"):
         return False
     names = {torch.bfloat16: "_is_mkldnn_bf16_supported", torch.float16: "_is_mkldnn_fp16_supported"}
     return dtype == torch.float32 or (dtype in names and bool(getattr(operators, names[dtype])()))

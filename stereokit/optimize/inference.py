@@ -2,6 +2,7 @@
 
 import copy
 import warnings
+from functools import partial
 from typing import Any, Literal, get_args
 
 import torch
@@ -112,7 +113,8 @@ def chains_of(network: nn.Module, example: tuple[Tensor, Tensor] | None) -> list
     # without data if the network can do without, then for real
     for twin, device in ((copy.deepcopy(network).to("meta"), "meta"), (network, device_of(network))):
         try:
-            return find_chains(twin, lambda net, to=device: net(left.to(to), right.to(to)))
+            images = left.to(device), right.to(device)
+            return find_chains(twin, partial(call, images=images))
         except Exception as error:
             reason = str(error).strip().split("\n")[0]
     warnings.warn(
@@ -121,6 +123,11 @@ def chains_of(network: nn.Module, example: tuple[Tensor, Tensor] | None) -> list
         stacklevel=3,
     )
     return []
+
+
+def call(network: nn.Module, images: tuple[Tensor, Tensor]) -> Any:
+    """One forward pass."""
+    return network(*images)
 
 
 def device_of(network: nn.Module) -> torch.device:

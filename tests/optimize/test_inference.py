@@ -205,7 +205,11 @@ def test_half_precision_is_near():
     with torch.inference_mode():
         ours, theirs = fast(left, right, return_logits=True), plain(left, right, return_logits=True)
     assert ours.disparity.dtype == ours.confidence.dtype == torch.float32
-    assert torch.corrcoef(torch.stack((ours.logits.flatten().float(), theirs.logits.flatten())))[0, 1] > 0.98
+    # random networks magnify roundings; the yardstick is what autocast alone does to the plain one
+    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
+        autocast = plain(left, right, return_logits=True)
+    ours_off, autocast_off = ((output.logits.float() - theirs.logits).norm() for output in (ours, autocast))
+    assert 0 < ours_off < 1.5 * autocast_off
     weights = [m.weight.dtype for m in fast.modules() if isinstance(m, FusedConvolution)]
     assert set(weights) == {torch.bfloat16}
 
@@ -216,7 +220,9 @@ def test_half_precision_without_instructions_is_warned_of(monkeypatch):
         prepare_for_inference(build_model("coex", max_disparity=32), precision="float16")
 
 
-@pytest.mark.parametrize("name", ["coex", *(pytest.param(name, marks=pytest.mark.slow) for name in ("psmnet", "gcnet"))])
+@pytest.mark.parametrize(
+    "name", ["coex", *(pytest.param(name, marks=pytest.mark.slow) for name in ("psmnet", "gcnet"))]
+)
 def test_it_is_exported(name):
     fast = prepare_for_inference(settled(name))
     images = torch.rand(2, 1, 3, 64, 64).unbind()
