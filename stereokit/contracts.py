@@ -124,7 +124,11 @@ class Aggregation(Protocol):
 
 
 class Regression(Protocol):
-    """Logits to disparity, in levels."""
+    """Logits to disparity, in levels.
+
+    A regression may also have a method ``with_confidence(logits)`` that returns what `__call__` and `confidence` do,
+    where the two share work.
+    """
 
     min_levels: int
     """The fewest levels that it can work on."""

@@ -157,24 +157,39 @@ class StereoModel(
         guides = self._left_guides(features.guides)
         volume = self.cost(left_features, right_features)
         heads = self.aggregation(volume, guides)
-        distributions = [self._upsample("volume", logits, guides) for logits in heads]
-        coarse = [self.regression(logits) * self.pixels_per_level for logits in distributions]
-        full = [self._upsample("disparity", disparity, guides) for disparity in coarse]
+        if not self.training:
+            return self._best(heads[-1], guides, (height, width), return_logits)
 
-        auxiliary: list[Tensor] = []
-        confidence = None
-        if self.training:
-            auxiliary = full[:-1]
-            if self.upsampler.learned:
-                auxiliary.append(self._enlarge(coarse[-1]))
-        else:
-            confidence = self._enlarge(self.regression.confidence(distributions[-1]))
-            confidence = confidence[:, :height, :width]
+        coarse = [self._regress(logits, guides) for logits in heads]
+        full = [self._upsample("disparity", disparity, guides) for disparity in coarse]
+        auxiliary = full[:-1]
+        if self.upsampler.learned:
+            auxiliary.append(self._enlarge(coarse[-1]))
         return StereoOutput(
             disparity=full[-1][:, :height, :width],
             auxiliary=tuple(disparity[:, :height, :width] for disparity in auxiliary),
-            confidence=confidence,
             logits=heads[-1] if return_logits else None,
+        )
+
+    def _regress(self, logits: Tensor, guides: dict[int, Tensor]) -> Tensor:
+        return self.regression(self._upsample("volume", logits, guides)) * self.pixels_per_level
+
+    def _best(
+        self, logits: Tensor, guides: dict[int, Tensor], size: tuple[int, int], return_logits: bool
+    ) -> StereoOutput:
+        """What eval mode gives: the disparity of the best head and its confidence."""
+        height, width = size
+        distribution = self._upsample("volume", logits, guides)
+        with_confidence = getattr(self.regression, "with_confidence", None)
+        if with_confidence is None:
+            coarse, confidence = self.regression(distribution), self.regression.confidence(distribution)
+        else:
+            coarse, confidence = with_confidence(distribution)
+        disparity = self._upsample("disparity", coarse * self.pixels_per_level, guides)
+        return StereoOutput(
+            disparity=disparity[:, :height, :width],
+            confidence=self._enlarge(confidence)[:, :height, :width],
+            logits=logits if return_logits else None,
         )
 
     def save_pretrained(self, save_directory: str | Path, **hub_arguments: Any) -> str | None:

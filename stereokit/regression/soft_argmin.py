@@ -34,8 +34,7 @@ def soft_argmin(logits: Tensor, candidates: Tensor | None = None) -> Tensor:
     1.5
     """
     _check_logits(logits)
-    probability = _softmax(logits)
-    return (probability * _candidates(logits, candidates)).sum(1)
+    return _expectation(_softmax(logits), candidates)
 
 
 def top_k_soft_argmin(logits: Tensor, k: int, candidates: Tensor | None = None) -> Tensor:
@@ -66,8 +65,7 @@ def top_k_soft_argmin(logits: Tensor, k: int, candidates: Tensor | None = None) 
     if k == logits.shape[1]:
         return soft_argmin(logits, candidates)
     kept, index = logits.topk(k, dim=1)
-    values = index if candidates is None else _candidates(logits, candidates).expand_as(logits).gather(1, index)
-    return (_softmax(kept) * values).sum(1)
+    return _kept_expectation(logits, kept, index, candidates)
 
 
 def top_k_mass(logits: Tensor, k: int) -> Tensor:
@@ -88,9 +86,7 @@ def top_k_mass(logits: Tensor, k: int) -> Tensor:
     """
     _check_logits(logits)
     _check_k(k, logits.shape[1])
-    logits = at_least_float32(logits)
-    kept = logits.topk(k, dim=1).values
-    return (kept.logsumexp(1) - logits.logsumexp(1)).exp().clamp(max=1)
+    return _kept_mass(logits, logits.topk(k, dim=1).values)
 
 
 @REGRESSIONS.register("soft_argmin")
@@ -115,11 +111,15 @@ class SoftArgmin(nn.Module):
         All of the mass is kept by a soft-argmin, so what lies near the estimate is counted in its place: low where the
         distribution has several peaks or is flat. Source: Yao et al., "MVSNet", ECCV 2018, section 4.2.
         """
-        level = torch.arange(logits.shape[1], device=logits.device).reshape(-1, 1, 1)
         probability = _softmax(logits)
-        estimate = (probability * level).sum(1, keepdim=True)
-        near = (level - estimate.floor() - 0.5).abs() < 2
-        return (probability * near).sum(1).clamp(max=1)
+        return _mass_near(probability, _expectation(probability))
+
+    def with_confidence(self, logits: Tensor) -> tuple[Tensor, Tensor]:
+        """Estimate and confidence, from one softmax."""
+        _check_logits(logits)
+        probability = _softmax(logits)
+        estimate = _expectation(probability)
+        return estimate, _mass_near(probability, estimate)
 
 
 @REGRESSIONS.register("top_k")
@@ -156,6 +156,14 @@ class TopKSoftArgmin(nn.Module):
         """`top_k_mass`: the probability mass of the candidates that are kept, (B, H, W)."""
         return top_k_mass(logits, self.k if self.training else self.test_k)
 
+    def with_confidence(self, logits: Tensor) -> tuple[Tensor, Tensor]:
+        """Estimate and confidence, from one search for the k largest."""
+        _check_logits(logits)
+        k = self.k if self.training else self.test_k
+        _check_k(k, logits.shape[1])
+        kept, index = logits.topk(k, dim=1)
+        return _kept_expectation(logits, kept, index), _kept_mass(logits, kept)
+
     def extra_repr(self) -> str:
         """The numbers of candidates, for printing."""
         return f"k={self.k}, test_k={self.test_k}"
@@ -165,9 +173,33 @@ def _softmax(logits: Tensor) -> Tensor:
     return at_least_float32(logits).softmax(1)
 
 
-def _candidates(logits: Tensor, candidates: Tensor | None) -> Tensor:
+def _expectation(probability: Tensor, candidates: Tensor | None = None) -> Tensor:
+    """Mean of the candidates, weighed by (B, D, H, W) probabilities."""
     if candidates is None:
-        candidates = torch.arange(logits.shape[1], device=logits.device)
+        candidates = torch.arange(probability.shape[1], device=probability.device)
+    # not as a matrix product, which autocast and TF32 would round to steps of half a pixel
+    return (probability * _as_volume(candidates)).sum(1)
+
+
+def _mass_near(probability: Tensor, estimate: Tensor) -> Tensor:
+    """Probability (B, D, H, W) of the four levels nearest to the estimate (B, H, W)."""
+    levels = probability.shape[1]
+    nearest = estimate.long().unsqueeze(1) + torch.arange(-1, 3, device=estimate.device).reshape(-1, 1, 1)
+    mass = probability.gather(1, nearest.clamp(0, levels - 1))
+    return (mass * ((nearest >= 0) & (nearest < levels))).sum(1).clamp(max=1)
+
+
+def _kept_expectation(logits: Tensor, kept: Tensor, index: Tensor, candidates: Tensor | None = None) -> Tensor:
+    values = index if candidates is None else _as_volume(candidates).expand_as(logits).gather(1, index)
+    return (_softmax(kept) * values).sum(1)
+
+
+def _kept_mass(logits: Tensor, kept: Tensor) -> Tensor:
+    kept, logits = at_least_float32(kept), at_least_float32(logits)
+    return (kept.logsumexp(1) - logits.logsumexp(1)).exp().clamp(max=1)
+
+
+def _as_volume(candidates: Tensor) -> Tensor:
     return candidates.reshape(-1, 1, 1) if candidates.dim() == 1 else candidates
 
 

@@ -1,11 +1,12 @@
 """Superpixel upsampling: each pixel is a learned mean of the 3x3 coarse cells around it."""
 
 from collections.abc import Mapping
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from einops import rearrange
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 from stereokit.contracts import Guides
@@ -56,12 +57,50 @@ def superpixel_upsample(disparity: Tensor, weights: Tensor, *, padding: Padding 
     padded = F.pad(disparity.unsqueeze(1), (1, 1, 1, 1), mode=mode).squeeze(1)
     # cells as (h, s, w, s): each coarse value broadcasts over its own cell, and no map is enlarged nine times
     cells = rearrange(weights, "b k (h sy) (w sx) -> b k h sy w sx", h=height, w=width)
+    trained = torch.is_grad_enabled() and (padded.requires_grad or cells.requires_grad)
+    total = _WeighedNeighbors.apply(padded, cells) if trained else weighed_neighbors(padded, cells)
+    return rearrange(total, "b h sy w sx -> b (h sy) (w sx)")
+
+
+def weighed_neighbors(padded: Tensor, cells: Tensor) -> Tensor:
+    """Sum over the 3x3 neighbours of each coarse cell: (B, h + 2, w + 2) and (B, 9, h, s, w, s) to (B, h, s, w, s)."""
     total = torch.zeros_like(cells[:, 0])
     for k in range(9):
-        y, x = divmod(k, 3)
-        neighbor = padded[:, y : y + height, x : x + width]
-        total = torch.addcmul(total, cells[:, k], neighbor[:, :, None, :, None])
-    return rearrange(total, "b h sy w sx -> b (h sy) (w sx)")
+        total = torch.addcmul(total, cells[:, k], _neighbor(padded, k))
+    return total
+
+
+def _neighbor(padded: Tensor, k: int) -> Tensor:
+    """The k-th neighbour of each cell, a view (B, h, 1, w, 1)."""
+    y, x = divmod(k, 3)
+    height, width = padded.shape[1] - 2, padded.shape[2] - 2
+    return padded[:, y : y + height, x : x + width][:, :, None, :, None]
+
+
+class _WeighedNeighbors(torch.autograd.Function):
+    """`weighed_neighbors`, with a backward pass that fills one gradient of the weights in place.
+
+    Autograd's own makes the gradient of each of the nine maps and then stacks them.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, padded: Tensor, cells: Tensor) -> Tensor:
+        ctx.save_for_backward(padded, cells)
+        return weighed_neighbors(padded, cells)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        padded, cells = ctx.saved_tensors
+        of_padded = torch.zeros_like(padded) if ctx.needs_input_grad[0] else None
+        of_cells = torch.empty_like(cells) if ctx.needs_input_grad[1] else None
+        for k in range(9):
+            if of_cells is not None:
+                of_cells[:, k] = grad * _neighbor(padded, k)
+            if of_padded is not None:
+                # a view, so this adds into the gradient
+                _neighbor(of_padded, k).add_((grad * cells[:, k]).sum((2, 4), keepdim=True))
+        return of_padded, of_cells
 
 
 @UPSAMPLERS.register("superpixel")

@@ -165,3 +165,20 @@ def test_the_stride_is_a_power_of_two(scale):
 def test_the_guide_at_the_stride_is_needed(guides, listed):
     with pytest.raises(ConfigError, match=f"stride 4 wants a guide of that stride; there are guides at {listed}"):
         SuperpixelUpsampler(scale=4, guide_channels=guides)
+
+
+@pytest.mark.parametrize("padding", ["replicate", "zeros"])
+@pytest.mark.parametrize("needed", [(True, True), (True, False), (False, True)])
+def test_gradients_are_those_of_the_formula(padding, needed):
+    disparity = randn(0, 2, 3, 4, dtype=torch.float64).requires_grad_(needed[0])
+    weights = randn(1, 2, 9, 6, 8, dtype=torch.float64).requires_grad_(needed[1])
+    assert torch.autograd.gradcheck(lambda d, w: superpixel_upsample(d, w, padding=padding), (disparity, weights))
+
+
+def test_only_the_weights_are_kept_for_the_backward_pass():
+    disparity, weights = torch.rand(1, 8, 8, requires_grad=True), torch.rand(1, 9, 32, 32, requires_grad=True)
+    kept = []
+    with torch.autograd.graph.saved_tensors_hooks(lambda t: kept.append(t.untyped_storage()) or t, lambda t: t):
+        superpixel_upsample(disparity, weights)
+    assert weights.untyped_storage().data_ptr() in {storage.data_ptr() for storage in kept}
+    assert sum(storage.nbytes() for storage in kept) < 1.1 * weights.untyped_storage().nbytes()
