@@ -18,7 +18,7 @@ from torch import Tensor
 from stereokit import build_model
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
-from stereokit.training.module import channels_last
+from stereokit.optimize import prepare_for_training
 
 
 def main() -> None:
@@ -63,7 +63,7 @@ def step(options: argparse.Namespace, precision: str, *, prepared: bool, compile
     device = torch.device(options.device)
     model: StereoModel = build_model(options.model, max_disparity=options.max_disparity).to(device)
     if prepared:
-        channels_last(model)
+        prepare_for_training(model)
     network = torch.compile(model) if compiled else model
     optimiser = torch.optim.Adam(model.parameters(), lr=1e-4)
     height, width = options.size

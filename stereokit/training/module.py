@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import torch
 from lightning.pytorch import LightningModule
@@ -13,6 +13,7 @@ from stereokit.errors import StereoKitError
 from stereokit.losses import stereo_loss
 from stereokit.metrics import StereoMetrics
 from stereokit.model import StereoModel, StereoOutput
+from stereokit.optimize import prepare_for_training
 from stereokit.training.recipe import Recipe
 from stereokit.training.samples import Batch
 
@@ -20,25 +21,9 @@ __all__ = ["StereoTraining", "TrainingError"]
 
 MOST_BROKEN_STEPS = 20
 
-M = TypeVar("M", bound=nn.Module)
-
 
 class TrainingError(StereoKitError):
     """Training that can't go on."""
-
-
-def channels_last(model: M) -> M:
-    """Puts the weights of all convolutions into the memory format with the faster kernels; values stay.
-
-    >>> channels_last(nn.Conv3d(2, 4, 3)).weight.is_contiguous(memory_format=torch.channels_last_3d)
-    True
-    """
-    for layer in model.modules():
-        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
-            layer.to(memory_format=torch.channels_last)
-        elif isinstance(layer, nn.Conv3d | nn.ConvTranspose3d):
-            layer.to(memory_format=torch.channels_last_3d)
-    return model
 
 
 class StereoTraining(LightningModule):
@@ -70,7 +55,7 @@ class StereoTraining(LightningModule):
         compile: bool = False,
     ) -> None:
         super().__init__()
-        self.model = channels_last(model)
+        self.model = prepare_for_training(model)
         self.recipe = recipe
         self.steps = steps
         self.minutes = minutes
