@@ -30,7 +30,7 @@ def prepare_for_training(model: Network) -> Network:
     """
     for module in model.modules():
         if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
-            module.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+            module.to(memory_format=torch.channels_last_3d)
         elif isinstance(module, nn.Conv2d) and module.groups == module.in_channels > 1:
-            module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+            module.to(memory_format=torch.channels_last)
     return model
