@@ -9,6 +9,7 @@ from stereokit import ConfigError, InputError, StereoOutput, build_model
 from stereokit.data import read_disparity, read_image
 from stereokit.errors import CheckpointError
 from stereokit.inference import DisparityResult, Predictor, choose_device, output_paths
+from stereokit.memory import estimate_memory
 from tests.shared import SHARED, needs_shared
 
 
@@ -151,3 +152,23 @@ def test_the_pilot_matches_a_real_pair() -> None:
     truth = read_disparity(scene / "groundtruth.png", scale=4)
     error = np.abs(predictor(scene / "imL.png", scene / "imR.png").disparity - truth)[np.isfinite(truth)]
     assert 100 * (error > 3).mean() == pytest.approx(6.0, abs=0.15)
+
+
+def test_a_pair_that_memory_can_not_hold_is_refused_or_cut_before_it_starts() -> None:
+    model = build_model("coex", max_disparity=32).eval()
+    left, right = np.random.default_rng(0).random((2, 320, 700, 3))
+    allowed = int(0.7 * estimate_memory(model, 320, 700))
+    with pytest.raises(InputError, match=r"700 x 320"):
+        Predictor(model, "cpu", max_memory=1_000_000)(left, right)
+    whole = Predictor(model, "cpu", max_memory="100GB")(left, right)
+    for too_large in ("tile", "reduce"):
+        result = Predictor(model, "cpu", max_memory=allowed, too_large=too_large)(left, right)
+        assert result.size == whole.size == (320, 700)
+        assert result.confidence is not None
+        assert result.confidence.shape == (320, 700)
+        assert result.disparity.dtype == np.float32
+        assert not np.array_equal(result.disparity, whole.disparity)
+    with pytest.raises(ConfigError, match="networks that torch runs"):
+        Predictor("network.onnx", max_memory="1GiB")
+    with pytest.raises(ConfigError, match="'error', 'tile' or 'reduce'"):
+        Predictor(model, "cpu", too_large="shrink")  # type: ignore[arg-type]
