@@ -60,9 +60,11 @@ class StageClock:
             self._watch(getattr(self.model, slot), partial(self._begin, stage), partial(self._end, stage))
         self._watch(self.model, self._begin_pass, self._end_pass)
         regression: Any = self.model.regression
-        if callable(confidence := getattr(regression, "confidence", None)):
+        for name in ("confidence", "with_confidence"):
+            if not callable(method := getattr(regression, name, None)):
+                continue
             # no hook is called for what is not a forward
-            regression.__dict__["confidence"] = partial(self._timed, STAGES["regression"], confidence)
+            regression.__dict__[name] = partial(self._timed, STAGES["regression"], method)
         return self
 
     def __exit__(
@@ -71,7 +73,8 @@ class StageClock:
         for handle in self._handles:
             handle.remove()
         self._handles.clear()
-        vars(self.model.regression).pop("confidence", None)
+        for name in ("confidence", "with_confidence"):
+            vars(self.model.regression).pop(name, None)
 
     def _watch(self, module: Any, begin: Callable[[], None], end: Callable[[], None]) -> None:
         assert isinstance(module, nn.Module)
