@@ -11,7 +11,7 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def prepare_for_training(model: Network) -> Network:
-    """Puts the weights of 3D and of depthwise convolutions into the memory formats whose backward passes are fast.
+    """Puts the weights of 3D, of depthwise and of 1 x 1 convolutions into the memory formats whose backward passes are fast.
 
     Their values, names and gradients stay, and so do optimisers and checkpoints: only the order in memory changes.
     Results differ by rounding.
@@ -31,6 +31,8 @@ def prepare_for_training(model: Network) -> Network:
     for module in model.modules():
         if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
             module.to(memory_format=torch.channels_last_3d)
-        elif isinstance(module, nn.Conv2d) and module.groups == module.in_channels > 1:
+        elif isinstance(module, nn.Conv2d) and (
+            module.groups == module.in_channels > 1 or module.kernel_size == (1, 1)
+        ):
             module.to(memory_format=torch.channels_last)
     return model

@@ -17,6 +17,7 @@ __all__ = ["Composition"]
 Generator = np.random.Generator
 
 _STEEPEST_WALL = 0.7
+_SMALLEST_RANGE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,8 @@ class Composition:
         max_disparity: the largest disparity there is, in pixels.
         disparity_exponent: things stand at max_disparity r ** exponent with r uniform: 1 spreads disparity evenly, more
             makes most things far.
+        range_exponent: each scene has a largest disparity of its own, max_disparity r ** range_exponent with r uniform:
+            0 gives all scenes the same, more makes most scenes far as a whole.
         objects: fewest and most things a scene has besides its walls, ground and sky.
         thin: how many of them are bars, wires, lattices or plants.
 
@@ -38,6 +41,7 @@ class Composition:
     size: tuple[int, int] = (256, 512)
     max_disparity: float = 96.0
     disparity_exponent: float = 1.3
+    range_exponent: float = 0.0
     objects: tuple[int, int] = (3, 13)
     thin: float = 0.3
 
@@ -45,15 +49,22 @@ class Composition:
         height, width = self.size
         if min(height, width) < 32:
             raise ConfigError(f"synthetic scenes have at least 32 x 32 pixels, got size {height} x {width}")
-        if not 4 <= self.max_disparity <= width:
-            raise ConfigError(f"max_disparity must lie from 4 to the width {width}, got {self.max_disparity}")
+        if not _SMALLEST_RANGE <= self.max_disparity <= width:
+            raise ConfigError(
+                f"max_disparity must lie from {_SMALLEST_RANGE:g} to the width {width}, got {self.max_disparity}"
+            )
         if not (self.disparity_exponent > 0 and 0 <= self.thin <= 1):
             raise ConfigError("disparity_exponent must be positive, and thin a part from 0 to 1")
+        if not self.range_exponent >= 0:
+            raise ConfigError(f"range_exponent must be at least 0, got {self.range_exponent}")
         if not 0 <= self.objects[0] <= self.objects[1]:
             raise ConfigError(f"objects must be the fewest and the most of them, got {self.objects}")
 
     def scene(self, rng: Generator, bank: TextureBank) -> Scene:
         """A random scene."""
+        if self.range_exponent:
+            largest = max(self.max_disparity * rng.uniform() ** self.range_exponent, _SMALLEST_RANGE)
+            return replace(self, max_disparity=largest, range_exponent=0.0).scene(rng, bank)
         setting = _SETTINGS[rng.choice(len(_SETTINGS), p=_HOW_OFTEN)]
         backdrop = setting(self, rng, bank)
         things: list[Layer] = []

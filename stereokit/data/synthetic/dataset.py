@@ -27,8 +27,11 @@ class SyntheticScenes:
         size: height and width of the views in pixels.
         max_disparity: the largest disparity there is, in pixels. The sky has next to none.
         disparity_exponent: 1 spreads the disparity of things evenly, more makes most things far.
+        range_exponent: 0 gives all scenes the same largest disparity, more makes most scenes far as a whole, see
+            `Composition`.
         objects: fewest and most things in a scene, besides its walls, ground and sky.
         thin: the part of them that is thin: bars, wires, lattices, plants.
+        plain: how often surfaces have next to no texture: 1 as often as is usual, 0 never.
         photometric: strength of the differences between the cameras (gain, gamma, colour, vignetting, blur, noise, rows
             a little apart); 0 has none.
         textures: a folder of photographs to use besides procedural textures.
@@ -51,8 +54,10 @@ class SyntheticScenes:
         size: tuple[int, int] = (256, 512),
         max_disparity: float = 96.0,
         disparity_exponent: float = 1.3,
+        range_exponent: float = 0.0,
         objects: tuple[int, int] = (3, 13),
         thin: float = 0.3,
+        plain: float = 1.0,
         photometric: float = 1.0,
         textures: "PathLike | None" = None,
         count: int = 1_000_000,
@@ -63,12 +68,17 @@ class SyntheticScenes:
                 f"from 0 to 2, got {seed}, {count} and {photometric}"
             )
         self.composition = Composition(
-            size=size, max_disparity=max_disparity, disparity_exponent=disparity_exponent, objects=objects, thin=thin
+            size=size,
+            max_disparity=max_disparity,
+            disparity_exponent=disparity_exponent,
+            range_exponent=range_exponent,
+            objects=objects,
+            thin=thin,
         )
         self.seed = seed
         self._count = count
         self.cameras = Cameras(seed, photometric)
-        self.bank = TextureBank(seed, photographs=None if textures is None else Path(textures))
+        self.bank = TextureBank(seed, plain=plain, photographs=None if textures is None else Path(textures))
 
     def __len__(self) -> int:
         return self._count

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from stereokit.data.images import read_image
 from stereokit.data.synthetic.patterns import TILE, draw_tiles
 from stereokit.data.synthetic.surfaces import Array
-from stereokit.errors import InputError
+from stereokit.errors import ConfigError, InputError
 
 __all__ = ["Ground", "Texture", "TextureBank", "random_palette"]
 
@@ -143,13 +143,18 @@ class TextureBank:
     Args:
         seed: of the tiles.
         tiles: how many.
+        plain: factor on how often a texture has next to no contrast.
         photographs: a folder of images to use as well.
 
     Raises:
+        ConfigError: the factor is negative.
         InputError: the folder holds no image, or one that can't be read.
     """
 
-    def __init__(self, seed: int, *, tiles: int = 48, photographs: Path | None = None) -> None:
+    def __init__(self, seed: int, *, tiles: int = 48, plain: float = 1.0, photographs: Path | None = None) -> None:
+        if not plain >= 0:
+            raise ConfigError(f"plain must be at least 0, got {plain}")
+        self.plain = plain
         self.tiles = _tiles(seed, tiles)
         self.photographs: list[Pyramid] = [] if photographs is None else _read_photographs(photographs)
 
@@ -171,7 +176,9 @@ class TextureBank:
         """
         is_photograph = bool(self.photographs) and rng.random() < 0.5
         strength = (
-            math.exp(rng.uniform(math.log(0.01), math.log(0.15))) if rng.random() < plain else rng.uniform(*contrast)
+            math.exp(rng.uniform(math.log(0.01), math.log(0.15)))
+            if rng.random() < self.plain * plain
+            else rng.uniform(*contrast)
         )
         texels = math.exp(rng.uniform(math.log(0.4), math.log(3.0)))
         modulation = None
