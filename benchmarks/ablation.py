@@ -74,17 +74,20 @@ def named_rows() -> dict[str, AblationRow]:
     return named
 
 
+def settings_of(row: AblationRow) -> dict[str, Any]:
+    """The overrides of a row in one form, whichever way the row says them."""
+    settings = {"cost": "correlation", "guidance_at": "full", **plain(row.overrides)}
+    if "top_k" in settings:
+        settings["regression"] = {"name": "top_k", "k": settings.pop("top_k")}
+    return settings
+
+
 def describe(row: AblationRow) -> str:
-    regression = row.overrides.get("regression", {"k": row.overrides.get("top_k", 2)})
+    settings = settings_of(row)
+    regression, guidance = settings["regression"], settings["guidance"]
     k = f"k = {regression['k']}" + (f" -> {regression['test_k']}" if regression.get("test_k") else "")
-    guidance = row.overrides.get("guidance", "gce")
-    if isinstance(guidance, Mapping):
-        guidance = guidance["name"]
-    aggregation = row.overrides.get("aggregation", "")
-    where = f" {row.overrides.get('guidance_at', 'full')}" if guidance != "none" else ""
-    cost = row.overrides.get("cost", "correlation")
-    parts = [row.model, cost, f"guidance {guidance}{where}", k, *([str(aggregation)] if aggregation else [])]
-    return ", ".join(parts)
+    where = f" {settings['guidance_at']}" if guidance != "none" else ""
+    return f"{row.model}, {settings['cost']}, guidance {guidance}{where}, {k}"
 
 
 def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[str, Any]:
@@ -99,9 +102,7 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
         return dict(before)
     print(f"{name}: {describe(row)}", file=sys.stderr)
     # rows that train alike, whatever they test, share a run
-    at_test = {"cost": "correlation", "guidance_at": "full", **plain(row.overrides)}
-    if "top_k" in at_test:
-        at_test["regression"] = {"name": "top_k", "k": at_test.pop("top_k")}
+    at_test = settings_of(row)
     overrides = {**at_test, "regression": {**at_test["regression"], "test_k": None}}
     network, run = trained(row.model, overrides, options)
     model = build_model(row.model, **at_test)

@@ -18,8 +18,9 @@ from tqdm import tqdm
 from stereokit import StereoKitError, build_model
 from stereokit.benchmark import Benchmark, Candidate, run_benchmark
 from stereokit.benchmark.candidates import BACKENDS
+from stereokit.data.atomic import check_free
 from stereokit.evaluation.tables import Table
-from stereokit.inference import check_free, choose_device
+from stereokit.inference import choose_device
 
 VARIANTS = {
     # overrides of coex, milliseconds in the paper

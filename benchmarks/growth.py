@@ -21,9 +21,9 @@ from tqdm import tqdm
 
 from stereokit import StereoKitError
 from stereokit.benchmark import Benchmark, Candidate, Row, run_benchmark, source_of
-from stereokit.data.atomic import atomic_path
+from stereokit.data.atomic import atomic_path, check_free
 from stereokit.evaluation.tables import Table
-from stereokit.inference import check_free, choose_device
+from stereokit.inference import choose_device
 from stereokit.memory import format_memory
 from stereokit.provenance import machine, versions
 

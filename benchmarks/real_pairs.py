@@ -17,7 +17,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from stereokit import StereoKitError, StereoModel, list_weights, load_published, load_weights
+from stereokit import StereoKitError, StereoModel, list_weights, load_published
 from stereokit.data import read_disparity
 from stereokit.data.atomic import atomic_path
 from stereokit.data.datasets import Source, StereoDataset, StereoEntry, open_dataset
@@ -50,13 +50,11 @@ def main() -> int:
         scenes = StereoDataset("real pairs", options.root, "all", list(real_pairs(options.root)))
         matchers: dict[str, Matcher] = {}
         for weights in options.weights:
-            if weights in list_weights():
-                model = load_weights(weights)
-            elif Path(weights).is_dir():
-                model = StereoModel.from_pretrained(weights)
-            else:
+            named = weights in list_weights()
+            model: str | StereoModel = weights
+            if not named and not Path(weights).is_dir():
                 model = load_published(weights, options.network, options.channel_order)
-            stem = weights if weights in list_weights() else Path(weights).stem
+            stem = weights if named else Path(weights).stem
             matchers[weights if stem in matchers else stem] = NetworkMatcher(
                 Predictor(model, options.device), weights=weights
             )

@@ -14,14 +14,14 @@ from stereokit._version import __version__
 from stereokit.backends import BACKENDS, is_exported
 from stereokit.benchmark import command as benchmark_command
 from stereokit.builder import build_model
-from stereokit.data.atomic import make_folder
+from stereokit.data.atomic import check_free, make_folder
 from stereokit.data.datasets import DATASETS, check_dataset, format_report, open_dataset
 from stereokit.data.pairs import match_pairs
 from stereokit.data.synthetic.command import run_synth
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.evaluation import command as evaluation_command
 from stereokit.export import command as export_command
-from stereokit.inference import Predictor, check_free, output_paths
+from stereokit.inference import Predictor, output_paths
 from stereokit.model import MIN_SIZE, StereoModel
 from stereokit.published import NETWORKS, ConversionReport, convert_published
 from stereokit.registry import MODELS, REGISTRIES, list_components

@@ -13,13 +13,13 @@ from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.opening import FILE_BACKENDS, check_backend, is_exported, open_backend
-from stereokit.data.atomic import atomic_path, make_folder
+from stereokit.data.atomic import atomic_path, check_free, make_folder
 from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
-from stereokit.errors import CheckpointError, ConfigError, InputError
+from stereokit.errors import CheckpointError, ConfigError
 from stereokit.inputs import ImageLike, to_pair
 from stereokit.memory import MemorySize
-from stereokit.model import MIN_SIZE, StereoModel, StereoOutput
+from stereokit.model import StereoModel, StereoOutput, check_least_size
 from stereokit.registry import MODELS, WEIGHTS
 from stereokit.tiling import BoundedMatcher, TooLarge
 from stereokit.viz import picture_with_scale
@@ -125,16 +125,6 @@ def output_paths(folder: str | os.PathLike[str], name: str) -> list[Path]:
     return [*disparities, Path(folder) / f"{name}_picture.png"]
 
 
-def check_free(paths: list[Path], *, overwrite: bool) -> None:
-    """Raises `InputError` if a file to be written exists already and `overwrite` was not said."""
-    taken = [] if overwrite else [str(path) for path in paths if path.exists()]
-    if taken:
-        more = f", and so do {len(taken) - 1} more" if len(taken) > 1 else ""
-        raise InputError(
-            f"{taken[0]!r} exists already{more}; choose another folder, or say --overwrite (overwrite=True)"
-        )
-
-
 class Predictor:
     """A network made ready to be used on single pairs.
 
@@ -182,7 +172,6 @@ class Predictor:
             device = choose_device(device)
             model = model if isinstance(model, nn.Module) else _saved_network(model)
         self.backend = open_backend(model, device, backend, precision)
-        self._always_plan = max_memory is not None
         self._bounded: BoundedMatcher | None = None
         if isinstance(model, nn.Module):
             self._bounded = BoundedMatcher(model, run=self._run, max_memory=max_memory, tiles=too_large)
@@ -215,13 +204,12 @@ class Predictor:
         """
         left, right = to_pair(left, right)
         height, width = left.shape[-2:]
-        if min(height, width) < MIN_SIZE:
-            raise InputError(f"the images are {width} x {height} pixels; at least {MIN_SIZE} x {MIN_SIZE} are needed")
-        if self._bounded is not None and (self._always_plan or height * width > LARGE):
+        check_least_size(height, width)
+        if self._bounded is not None and (self._bounded.max_memory is not None or height * width > LARGE):
             plan = self._bounded.plan(height, width)
             if plan.how != "whole":
                 start = time.perf_counter()
-                output = self._bounded(left, right)
+                output = self._bounded.match(left, right, plan)
                 confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
                 return DisparityResult(output.disparity[0].cpu().numpy(), confidence, time.perf_counter() - start)
         preparation_seconds = self.backend.prepare(left, right)

@@ -32,6 +32,12 @@ __all__ = ["StereoModel", "StereoOutput"]
 MIN_SIZE = 32
 
 
+def check_least_size(height: int, width: int) -> None:
+    """Raises `InputError` for images below 32 x 32."""
+    if min(height, width) < MIN_SIZE:
+        raise InputError(f"the images are {width} x {height} pixels; at least {MIN_SIZE} x {MIN_SIZE} are needed")
+
+
 class StereoOutput(NamedTuple):
     """What every network returns, in training and in eval mode alike."""
 
@@ -262,9 +268,7 @@ class StereoModel(
             raise InputError(f"left and right differ in size: {tuple(left.shape)} and {tuple(right.shape)}")
         if left.dtype != right.dtype:
             raise InputError(f"left and right differ in type: {left.dtype} and {right.dtype}")
-        if min(left.shape[-2:]) < MIN_SIZE:
-            height, width = left.shape[-2:]
-            raise InputError(f"images are at least {MIN_SIZE} x {MIN_SIZE} pixels; got {height} x {width}")
+        check_least_size(*left.shape[-2:])
 
 
 def per_channel(name: str, values: Sequence[float], *, positive: bool = False) -> Tensor:

@@ -263,8 +263,15 @@ class BoundedMatcher:
         Raises:
             InputError: the pair does not fit, and is not to be cut or reduced, or can't be.
         """
+        return self.match(left, right, self.plan(*left.shape[-2:]))
+
+    def match(self, left: Tensor, right: Tensor, plan: MemoryPlan) -> StereoOutput:
+        """Matches a pair as `plan` has found for its size.
+
+        Raises:
+            InputError: it takes more memory than was estimated.
+        """
         height, width = left.shape[-2:]
-        plan = self.plan(height, width)
         try:
             if plan.how == "tile" and plan.tile is not None:
                 return match_tiles(

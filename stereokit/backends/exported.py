@@ -12,7 +12,7 @@ from torch import Tensor
 from stereokit.backends.estimate import Estimate
 from stereokit.errors import InputError
 from stereokit.export.metadata import ExportMetadata
-from stereokit.model import MIN_SIZE
+from stereokit.model import check_least_size
 
 __all__ = ["ExportedBackend"]
 
@@ -65,9 +65,3 @@ class ExportedBackend(ABC):
                 f"the images are {width} x {height} pixels, but {self.path!r} was exported for {fixed_width} x "
                 f"{fixed_height} alone; export it again without a size, or with --size {height} {width}"
             )
-
-
-def check_least_size(height: int, width: int) -> None:
-    """Raises `InputError` for images below 32 x 32."""
-    if min(height, width) < MIN_SIZE:
-        raise InputError(f"the images are {width} x {height} pixels; at least {MIN_SIZE} x {MIN_SIZE} are needed")

@@ -2,11 +2,11 @@
 
 from stereokit.benchmark.budget import Budget, measure_budget
 from stereokit.benchmark.candidates import BACKENDS, Candidate, rival_source, source_of
-from stereokit.benchmark.clock import Timing, synchronised_clock, time_interleaved
 from stereokit.benchmark.memory import PeakMemory
 from stereokit.benchmark.report import Benchmark, Row
 from stereokit.benchmark.run import run_benchmark
 from stereokit.benchmark.stages import StageClock
+from stereokit.clock import Timing, synchronised_clock, time_interleaved
 
 __all__ = [
     "BACKENDS",

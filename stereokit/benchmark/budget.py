@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import torch
 
-from stereokit.benchmark.clock import Clock, synchronised_clock
 from stereokit.benchmark.precision import DTYPES
+from stereokit.clock import Clock, synchronised_clock
 
 __all__ = ["Budget", "measure_budget"]
 

@@ -15,9 +15,10 @@ from stereokit.benchmark.candidates import BACKENDS, Candidate, rival_source, so
 from stereokit.benchmark.precision import DTYPES
 from stereokit.benchmark.report import Benchmark, check_plot
 from stereokit.benchmark.run import run_benchmark
+from stereokit.data.atomic import check_free
 from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
-from stereokit.inference import check_free, choose_device
+from stereokit.inference import choose_device
 from stereokit.model import MIN_SIZE
 from stereokit.registry import list_models, suggest
 

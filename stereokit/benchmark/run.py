@@ -12,10 +12,10 @@ from torch import nn
 
 from stereokit.benchmark.budget import Budget, measure_budget
 from stereokit.benchmark.candidates import Candidate, image_pair
-from stereokit.benchmark.clock import Clock, Timing, synchronised_clock, time_interleaved
 from stereokit.benchmark.memory import PeakMemory
 from stereokit.benchmark.report import Benchmark, Row
 from stereokit.benchmark.stages import StageClock
+from stereokit.clock import Clock, Timing, synchronised_clock, time_interleaved
 from stereokit.errors import ConfigError, InputError
 from stereokit.memory import available_memory, estimate_memory, format_memory
 from stereokit.model import StereoModel

@@ -9,7 +9,7 @@ from typing import Any
 from torch import nn
 from torch.utils.hooks import RemovableHandle
 
-from stereokit.benchmark.clock import Clock, synchronised_clock
+from stereokit.clock import Clock, synchronised_clock
 from stereokit.model import StereoModel
 
 __all__ = ["STAGES", "StageClock"]

@@ -62,6 +62,16 @@ def make_folder(folder: str | os.PathLike[str]) -> None:
         raise InputError(f"the folder {os.fspath(folder)!r} can't be made: {error.strerror or error}") from error
 
 
+def check_free(paths: list[Path], *, overwrite: bool) -> None:
+    """Raises `InputError` if a file to be written exists already and `overwrite` was not said."""
+    taken = [] if overwrite else [str(path) for path in paths if path.exists()]
+    if taken:
+        more = f", and so do {len(taken) - 1} more" if len(taken) > 1 else ""
+        raise InputError(
+            f"{taken[0]!r} exists already{more}; choose another folder, or say --overwrite (overwrite=True)"
+        )
+
+
 def _check_target(target: Path, given: str | os.PathLike[str], *, overwrite: bool) -> None:
     name = os.fspath(given)
     if not target.parent.is_dir():

@@ -12,7 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from stereokit.backends import BACKENDS
-from stereokit.data.atomic import make_folder
+from stereokit.data.atomic import check_free, make_folder
 from stereokit.data.datasets.dataset import StereoEntry
 from stereokit.data.datasets.opening import open_dataset
 from stereokit.errors import ConfigError, InputError
@@ -23,7 +23,7 @@ from stereokit.evaluation.results import result_paths
 from stereokit.evaluation.sgbm import SGBM_VARIANTS, SemiGlobalMatcher
 from stereokit.evaluation.submission import KittiSubmission
 from stereokit.evaluation.tables import format_dataset
-from stereokit.inference import Predictor, check_free
+from stereokit.inference import Predictor
 from stereokit.registry import list_models, suggest
 from stereokit.weights import default_weights
 

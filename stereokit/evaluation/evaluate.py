@@ -1,7 +1,6 @@
 """Matching data sets and counting errors."""
 
 import statistics
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from typing import Any, TypeAlias
@@ -9,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 
+from stereokit.clock import synchronised_clock
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry, StereoSample
 from stereokit.data.datasets.opening import open_dataset
 from stereokit.data.disparity_arrays import Disparity
@@ -151,8 +151,7 @@ def _batches(entries: Iterable[StereoEntry], batch: int) -> Iterator[list[Stereo
 
 def _match(matcher: Matcher, samples: Sequence[StereoSample]) -> tuple[list[Disparity], float]:
     """The disparities of samples of one size, and the seconds for all of them."""
-    _synchronise()
-    start = time.perf_counter()
+    start = synchronised_clock()
     try:
         if len(samples) > 1:
             assert isinstance(matcher, BatchMatcher)
@@ -168,16 +167,10 @@ def _match(matcher: Matcher, samples: Sequence[StereoSample]) -> tuple[list[Disp
         ) from error
     # A tensor on a device counts when it has arrived in memory.
     arrays = [_to_array(prediction) for prediction in given]
-    _synchronise()
-    seconds = time.perf_counter() - start
+    seconds = synchronised_clock() - start
     if len(arrays) != len(samples):
         raise InputError(f"the matcher gave {len(arrays)} maps for {len(samples)} pairs; expected one for each")
     return [_checked(array, sample) for array, sample in zip(arrays, samples, strict=True)], seconds
-
-
-def _synchronise() -> None:
-    if torch.accelerator.is_available():
-        torch.accelerator.synchronize()
 
 
 def _to_array(prediction: Any) -> Any:

@@ -8,8 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from stereokit.data.atomic import atomic_path, make_folder
-from stereokit.inference import check_free
+from stereokit.data.atomic import atomic_path, check_free, make_folder
 
 __all__ = ["DatasetResult", "Evaluation", "Metrics", "PairResult", "result_paths"]
 

@@ -13,9 +13,8 @@ import torch.fx.experimental._config
 from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 
-from stereokit.backends.exported import check_least_size
 from stereokit.errors import ConfigError, InputError
-from stereokit.model import MIN_SIZE
+from stereokit.model import MIN_SIZE, check_least_size
 
 __all__ = ["ExportGraph", "example_size", "naming_block", "trace"]
 

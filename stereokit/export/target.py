@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from torch import nn
 
+from stereokit.data.atomic import check_free
 from stereokit.errors import ConfigError, InputError
 
 __all__ = ["check_target", "on_cpu"]
@@ -25,10 +26,7 @@ def check_target(path: str | os.PathLike[str], suffix: str, *, overwrite: bool) 
     target = Path(path)
     if target.suffix.lower() != suffix:
         raise InputError(f"{os.fspath(path)!r} does not end in {suffix}, as files of this format do")
-    if target.exists() and not overwrite:
-        raise InputError(
-            f"{os.fspath(path)!r} exists already; choose another name, or say --overwrite (overwrite=True)"
-        )
+    check_free([target], overwrite=overwrite)
     if not target.absolute().parent.is_dir():
         raise InputError(f"{os.fspath(path)!r} can't be written: the folder {str(target.parent)!r} does not exist")
     return target

@@ -1,9 +1,7 @@
 """`stereokit train`."""
 
 import argparse
-import os
 import shlex
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -85,7 +83,7 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         workers=options.workers,
         checkpoint_every=options.checkpoint_every,
         validate_every=options.validate_every,
-        command=shlex.join([os.path.basename(sys.argv[0]), *options.arguments]),
+        command=shlex.join(["stereokit", *options.arguments]),
     )
     record: Any = outcome.record
     print(

@@ -222,8 +222,9 @@ def _open(
         name = spec.partition(":")[0].partition(",")[0]
         sets[name if name not in sets else f"{name}_{len(sets)}"] = open_dataset(spec)
     if rendered:
-        settings: dict[str, Any] = dict(recipe.scenes or {})
-        settings["size"] = tuple(settings.get("size", (256, 512)))
+        settings: dict[str, Any] = {
+            key: tuple(v) if isinstance(v, list) else v for key, v in (recipe.scenes or {}).items()
+        }
         try:
             datasets = [SyntheticScenes(**settings, seed=seed, textures=textures)]
             if not sets:

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors.torch import save
 
 from stereokit.data.atomic import atomic_path, make_folder
@@ -62,7 +61,7 @@ def release(
         licence=licence,
         network=dict(model.config),
         images="RGB, uint8 or float in [0, 1]; the network normalises and pads",
-        precision=str(torch.float16).removeprefix("torch."),
+        precision="float16",
         training=training,
         results=dict(results),
     )

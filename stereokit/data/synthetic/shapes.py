@@ -30,8 +30,8 @@ class Shape(Protocol):
 
 
 @dataclass(frozen=True)
-class Box:
-    """A rectangle; a bar where it is thin.
+class _Turned:
+    """What fills a turned rectangle.
 
     Attributes:
         half_width: before it is turned.
@@ -48,15 +48,25 @@ class Box:
         """See `Shape`."""
         return _turned_extent(self.half_width, self.half_height, self.angle)
 
+
+@dataclass(frozen=True)
+class Box(_Turned):
+    """A rectangle; a bar where it is thin.
+
+    Attributes:
+        half_width: before it is turned.
+        half_height: likewise.
+        angle: in radians.
+    """
+
     def distance(self, du: Array, dv: Array) -> Array:
         """See `Shape`."""
         s, t = _turn(du, dv, self.angle)
-        result: Array = np.maximum(np.abs(s) - np.float32(self.half_width), np.abs(t) - np.float32(self.half_height))
-        return result
+        return _outside_box(s, t, self.half_width, self.half_height)
 
 
 @dataclass(frozen=True)
-class Ellipse:
+class Ellipse(_Turned):
     """An ellipse, or a ring.
 
     Attributes:
@@ -66,15 +76,7 @@ class Ellipse:
         hole: size of the hole as a part of the ellipse; 0 has none.
     """
 
-    half_width: float
-    half_height: float
-    angle: float = 0.0
     hole: float = 0.0
-
-    @property
-    def extent(self) -> tuple[float, float]:
-        """See `Shape`."""
-        return _turned_extent(self.half_width, self.half_height, self.angle)
 
     def distance(self, du: Array, dv: Array) -> Array:
         """See `Shape`."""
@@ -216,8 +218,7 @@ class Lattice:
         bars = self._bars(s)
         if self.crossed:
             bars = np.minimum(bars, self._bars(t))
-        inside = np.maximum(np.abs(s) - np.float32(self.half_width), np.abs(t) - np.float32(self.half_height))
-        result: Array = np.maximum(bars, inside)
+        result: Array = np.maximum(bars, _outside_box(s, t, self.half_width, self.half_height))
         return result
 
     def _bars(self, s: Array) -> Array:
@@ -232,6 +233,11 @@ def _turn(du: Array, dv: Array, angle: float) -> tuple[Array, Array]:
         return du, dv
     cosine, sine = np.float32(math.cos(angle)), np.float32(math.sin(angle))
     return cosine * du + sine * dv, cosine * dv - sine * du
+
+
+def _outside_box(s: Array, t: Array, half_width: float, half_height: float) -> Array:
+    result: Array = np.maximum(np.abs(s) - np.float32(half_width), np.abs(t) - np.float32(half_height))
+    return result
 
 
 def _turned_extent(half_width: float, half_height: float, angle: float) -> tuple[float, float]:

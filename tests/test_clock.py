@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereokit.benchmark.clock import Timing, time_interleaved
+from stereokit.clock import Timing, time_interleaved
 
 
 class FakeClock:
