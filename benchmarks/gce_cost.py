@@ -36,7 +36,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", nargs=2, type=int, default=(384, 1248), metavar=("H", "W"))
     parser.add_argument("--max-disparity", type=int, default=192)
-    parser.add_argument("--backend", default="eager", choices=[name for name in BACKENDS if name != "opencv"])
+    parser.add_argument("--backend", default="torch", choices=[name for name in BACKENDS if name != "opencv"])
     parser.add_argument("--precision", default="float32")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--repeats", type=int, default=20)
@@ -64,7 +64,7 @@ def main() -> int:
             candidates,
             device=choose_device(options.device),
             repeats=options.repeats,
-            stages=options.backend == "eager",
+            stages=options.backend in ("torch", "eager"),
             command=" ".join(["python", *sys.argv]),
             progress=tqdm,
         )

@@ -38,7 +38,7 @@ def main() -> int:
     parser.add_argument("models", nargs="*", default=["coex"], help="networks (default: coex)")
     parser.add_argument("--megapixels", nargs="*", type=float, default=MEGAPIXELS, help="of 3:4 images, D = 192")
     parser.add_argument("--max-disparity", nargs="*", type=int, default=LEVELS, help="D, at 384 x 1248")
-    parser.add_argument("--backend", default="eager")
+    parser.add_argument("--backend", default="torch")
     parser.add_argument("--precision", default="float32")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--repeats", type=int, default=5)

@@ -23,6 +23,7 @@ from stereokit.evaluation import command as evaluation_command
 from stereokit.export import command as export_command
 from stereokit.inference import Predictor, output_paths
 from stereokit.model import MIN_SIZE, StereoModel
+from stereokit.optimize import keep_freed_memory
 from stereokit.published import NETWORKS, ConversionReport, convert_published
 from stereokit.registry import MODELS, REGISTRIES, list_components
 from stereokit.summary import model_summary
@@ -59,6 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     groupwise_correlation
     0
     """
+    if arguments is None:
+        # the process is this command's own
+        keep_freed_memory()
     given = sys.argv[1:] if arguments is None else list(arguments)
     options = _parser().parse_args(given, argparse.Namespace(arguments=given))
     try:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
-from stereokit.model import StereoOutput
+from stereokit.optimize import PreparedNetwork
 
 __all__ = ["CompiledBackend", "compile_cache"]
 
@@ -23,7 +23,7 @@ def compile_cache() -> Path:
 
 
 class CompiledBackend(TorchBackend):
-    """A network compiled by `torch.compile`, its weights frozen into the code.
+    """A network made ready for inference, as for `TorchBackend`, and compiled by `torch.compile`.
 
     The first size of images is compiled for that size alone; the second one, for any. What was compiled is kept
     in `compile_cache`, so that later runs start faster.
@@ -41,20 +41,21 @@ class CompiledBackend(TorchBackend):
         # Inductor's own default is a temporary folder, empty after a restart
         os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(compile_cache()))
         self._seen: set[tuple[Any, ...]] = set()
+
+    def make_ready(self, network: PreparedNetwork) -> nn.Module:
+        """Code that is compiled when it first runs."""
+        self._seen.clear()
         # CUDA graphs take the launch of kernels off the CPU; on a CPU there is none to take off
-        how: dict[str, Any] = {"mode": "reduce-overhead"} if device.type == "cuda" else {"options": {"freezing": True}}
-        self._compiled = torch.compile(self.network, **how)
+        mode = "reduce-overhead" if self.device.type == "cuda" else None
+        return cast(nn.Module, torch.compile(network, mode=mode))
 
     def prepare(self, left: Tensor, right: Tensor) -> float:
-        """Compiles, where images of this size and type were not seen before."""
+        """Prepares the network, and compiles where images of this size and type were not seen before."""
+        start = time.perf_counter()
+        seconds = super().prepare(left, right)
         kind = (left.shape, left.dtype)
         if kind in self._seen:
-            return 0.0
-        start = time.perf_counter()
-        self(left, right)
+            return seconds
         self._seen.add(kind)
+        self(left, right)
         return time.perf_counter() - start
-
-    def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
-        """The compiled network on its device."""
-        return cast(StereoOutput, self._compiled(left, right))

@@ -1,6 +1,9 @@
-"""PyTorch as it is."""
+"""PyTorch, operation by operation."""
 
-from typing import Any, Literal, TypeAlias, get_args
+import time
+from collections.abc import Iterator
+from itertools import chain
+from typing import Any, cast, get_args
 
 import torch
 from torch import Tensor, nn
@@ -8,20 +11,21 @@ from torch import Tensor, nn
 from stereokit.backends.estimate import Estimate
 from stereokit.errors import ConfigError
 from stereokit.model import StereoOutput
+from stereokit.optimize import Precision, PreparedNetwork, prepare_for_inference
 
-__all__ = ["Precision", "TorchBackend"]
-
-Precision: TypeAlias = Literal["float32", "bfloat16", "float16"]
+__all__ = ["TorchBackend"]
 
 
 class TorchBackend:
-    """A network in eager PyTorch.
+    """A network in eager PyTorch, made ready for inference at the first pair, see `prepare_for_inference`.
+
+    What runs is a prepared copy. It is made anew when the weights of the network have changed.
 
     Args:
         network: any module with `forward(left, right) -> StereoOutput`; it is moved to the device and put into eval
             mode.
         device: of torch.
-        precision: "float32", or a half precision for autocast.
+        precision: "float32", or a half precision for the convolutions.
 
     Raises:
         ConfigError: another precision.
@@ -42,25 +46,34 @@ class TorchBackend:
             )
         self.device = device
         self.network = network.to(device).eval()
+        self._ready: nn.Module | None = None
+        self._made_from: tuple[Any, ...] = ()
 
     def prepare(self, left: Tensor, right: Tensor) -> float:
-        """Nothing is needed."""
-        return 0.0
+        """Prepares the network, where it is new or its weights have changed."""
+        start = time.perf_counter()
+        made_from = tuple(_versions(self.network))
+        if self._ready is not None and made_from == self._made_from:
+            return 0.0
+        images = left[:1].to(self.device), right[:1].to(self.device)
+        self._ready = self.make_ready(
+            prepare_for_inference(self.network, precision=cast(Precision, self.precision), example=images)
+        )
+        self._made_from = made_from
+        return time.perf_counter() - start
 
-    @torch.inference_mode()
+    def make_ready(self, network: PreparedNetwork) -> nn.Module:
+        """What is called, from the prepared network."""
+        return network
+
     def __call__(self, left: Tensor, right: Tensor) -> Estimate:
         """Images (B, 3, H, W) to disparity and confidence (B, H, W)."""
-        half = self.precision != "float32"
-        with torch.autocast(self.device.type, getattr(torch, self.precision) if half else None, enabled=half):
-            output = self.forward(left.to(self.device), right.to(self.device))
+        self.prepare(left, right)
+        assert self._ready is not None
+        with torch.inference_mode():
+            output: StereoOutput = self._ready(left.to(self.device), right.to(self.device))
         # copying to the CPU waits for the device
-        confidence = None if output.confidence is None else output.confidence.float().cpu().numpy()
-        return Estimate(output.disparity.float().cpu().numpy(), confidence)
-
-    def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
-        """The network on its device."""
-        output: StereoOutput = self.network(left, right)
-        return output
+        return Estimate.of(output)
 
     def describe(self) -> dict[str, Any]:
         """The network's configuration and size, in plain JSON."""
@@ -72,3 +85,10 @@ class TorchBackend:
             parts["class"] = f"{type(self.network).__module__}.{type(self.network).__qualname__}"
         parts["parameters"] = sum(p.numel() for p in self.network.parameters())
         return parts
+
+
+def _versions(network: nn.Module) -> Iterator[tuple[int, int]]:
+    """Where each tensor of a network lies, and how often it was written to."""
+    for tensor in chain(network.parameters(), network.buffers()):
+        # tensors made in inference mode are not counted
+        yield tensor.data_ptr(), 0 if tensor.is_inference() else tensor._version

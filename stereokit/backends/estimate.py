@@ -7,6 +7,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from stereokit.model import StereoOutput
+
 __all__ = ["Backend", "Estimate"]
 
 
@@ -17,6 +19,12 @@ class Estimate(NamedTuple):
     """(B, H, W), pixels of the left image."""
     confidence: npt.NDArray[np.float32] | None
     """(B, H, W) in [0, 1]; None if the network gives none."""
+
+    @classmethod
+    def of(cls, output: StereoOutput) -> "Estimate":
+        """The disparity and the confidence of a network's output."""
+        confidence = None if output.confidence is None else output.confidence.float().cpu().numpy()
+        return cls(output.disparity.float().cpu().numpy(), confidence)
 
 
 class Backend(Protocol):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +17,7 @@ from stereokit.errors import CheckpointError, ConfigError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.export import export_onnx, export_openvino
 from stereokit.model import StereoModel
+from stereokit.optimize import Precision, prepare_for_inference
 from stereokit.published import NETWORKS, load_published
 from stereokit.registry import list_models, suggest
 
@@ -45,7 +46,7 @@ class Candidate:
 
     name: str
     source: Source
-    backend: str = "eager"
+    backend: str = "torch"
     precision: str = "float32"
     height: int = 384
     width: int = 1248
@@ -75,16 +76,23 @@ class Candidate:
 
 
 def eager(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
-    """The network as it is, operation by operation."""
+    """The network as it was written, in the types that were asked for."""
     ready: Ready = network.to(device, dtype_of(candidate.precision))
     return ready
 
 
+def prepared(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
+    """The network made ready for inference, operation by operation: what `Predictor` runs."""
+    dtype_of(candidate.precision)
+    ready: Ready = prepare_for_inference(network.to(device), precision=cast(Precision, candidate.precision))
+    return ready
+
+
 def compiled(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
-    """The network through `torch.compile`, for the one size and as one graph: it fails where it can't be compiled."""
+    """What `prepared` makes, through `torch.compile`, for the one size and as one graph: it fails where it can't be."""
     # networks share the code of their class; past the limit of versions of it, one would fail
     torch._dynamo.config.recompile_limit = max(torch._dynamo.config.recompile_limit, 256)
-    ready: Ready = torch.compile(eager(network, candidate, device), dynamic=False, fullgraph=True)
+    ready: Ready = torch.compile(prepared(network, candidate, device), dynamic=False, fullgraph=True)
     return ready
 
 
@@ -128,6 +136,7 @@ def opencv(matcher: Any, candidate: Candidate, device: torch.device) -> Ready:
 
 
 BACKENDS: Mapping[str, Callable[[Any, Candidate, torch.device], Ready]] = {
+    "torch": prepared,
     "eager": eager,
     "compile": compiled,
     "onnxruntime": onnxruntime,

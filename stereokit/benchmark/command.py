@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rival", nargs="+", default=[], metavar="NAME", help=f"{', '.join(SGBM_VARIANTS)}")
     parser.add_argument(
-        "--backend", nargs="+", default=["eager"], metavar="NAME", help=f"{', '.join(backends)} (default: eager)"
+        "--backend", nargs="+", default=["torch"], metavar="NAME", help=f"{', '.join(backends)} (default: torch)"
     )
     parser.add_argument(
         "--precision", nargs="+", default=["float32"], metavar="NAME", help=f"{', '.join(DTYPES)} (default: float32)"
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--repeats", type=int, default=20, metavar="N", help="timed runs (default: %(default)s)")
     parser.add_argument("--warmup", type=int, default=3, metavar="N", help="untimed runs before (default: %(default)s)")
     parser.add_argument("--threads", type=int, metavar="N", help="of the CPU (default: as torch and OpenCV choose)")
-    parser.add_argument("--stages", action="store_true", help="split eager networks into their stages")
+    parser.add_argument("--stages", action="store_true", help="split torch and eager networks into stages")
     parser.add_argument("--budget", action="store_true", help="measure the hardware's peaks, and the share reached")
     parser.add_argument("--json", metavar="FILE", help="write every time and all that is needed to repeat the run")
     parser.add_argument("--plot", metavar="FILE", help="write a plot, .png, .svg or .pdf (extra: viz)")

@@ -152,7 +152,7 @@ class Benchmark:
         parts = [self.heading(), str(self.table())]
         stages = self.stage_table()
         if stages is not None:
-            parts.append(f"milliseconds by stage, eager\n{stages}")
+            parts.append(f"milliseconds by stage\n{stages}")
         failures = [f"{_label(row)}: {row.error}" for row in self.rows if row.error is not None]
         if failures:
             parts.append("\n".join(["not timed", *failures]))

@@ -19,6 +19,7 @@ from stereokit.clock import Clock, Timing, synchronised_clock, time_interleaved
 from stereokit.errors import ConfigError, InputError
 from stereokit.memory import available_memory, estimate_memory, format_memory
 from stereokit.model import StereoModel
+from stereokit.optimize import PreparedNetwork
 from stereokit.provenance import machine, versions
 from stereokit.summary import model_summary
 
@@ -65,7 +66,7 @@ def run_benchmark(
         repeats: how often each is timed.
         warmup: untimed runs of each beforehand, at least 1.
         seed: of the order in the rounds.
-        stages: split eager networks into their stages, in as many runs more.
+        stages: split networks that run operation by operation into their stages, in as many runs more.
         budget: measure what the hardware can do, before anything else.
         command: the command line, for the record.
         progress: wraps what takes long, such as `tqdm`.
@@ -151,9 +152,10 @@ def _prepare(candidate: Candidate, device: torch.device, warmup: int, clock: Clo
     if warmup > 1:
         peak.restart()
         run()
+    inner = ready.network if isinstance(ready, PreparedNetwork) else ready
     return _Prepared(
         run=run,
-        network=made if isinstance(made, StereoModel) and candidate.backend == "eager" else None,
+        network=inner if isinstance(inner, StereoModel) else None,
         parameters=parameters,
         multiply_adds=multiply_adds,
         first_seconds=first_seconds,
@@ -182,7 +184,7 @@ def _split(
     repeats: int,
     clock: Clock,
 ) -> dict[int, dict[str, float]]:
-    """The median seconds of each stage of the networks that run eagerly, in rounds too."""
+    """The median seconds of each stage of the networks that run operation by operation, in rounds too."""
     clocks = {
         index: StageClock(ready.network, clock=clock)
         for index, ready in prepared.items()

@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from stereokit.backends.eager import TorchBackend
-from stereokit.backends.estimate import Backend
+from stereokit.backends.estimate import Backend, Estimate
 from stereokit.errors import ConfigError
 from stereokit.export.graph import example_size
+from stereokit.model import StereoOutput
 
 __all__ = ["Difference", "check_exact", "check_pairs", "compare", "random_pair"]
 
@@ -89,10 +89,12 @@ def compare(backend: Backend, model: nn.Module, pairs: Iterable[tuple[str, Pair]
     Raises:
         ConfigError: the file gives values that are not finite.
     """
-    plain = TorchBackend(model, torch.device("cpu"))
+    model.eval()
     differences = []
     for name, (left, right) in pairs:
-        expected, given = plain(left, right), backend(left, right)
+        with torch.inference_mode():
+            output: StereoOutput = model(left, right)
+        expected, given = Estimate.of(output), backend(left, right)
         apart = np.abs(given.disparity - expected.disparity)
         if np.isnan(apart).any():
             raise ConfigError(f"the exported network is wrong: {name} gives disparities that are not finite")

@@ -75,6 +75,7 @@ def prepare_for_inference(
 
     Raises:
         ConfigError: an unknown precision, or the network is prepared already.
+        torch.OutOfMemoryError: the example is too large for the device.
 
     Warns:
         UserWarning: the network fails on the example, and is only copied; or the CPU has no instructions for half
@@ -115,6 +116,8 @@ def chains_of(network: nn.Module, example: tuple[Tensor, Tensor] | None) -> list
         try:
             images = left.to(device), right.to(device)
             return find_chains(twin, partial(call, images=images))
+        except torch.OutOfMemoryError:
+            raise
         except Exception as error:
             reason = str(error).strip().split("\n")[0]
     warnings.warn(

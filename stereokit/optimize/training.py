@@ -11,7 +11,7 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def prepare_for_training(model: Network) -> Network:
-    """Puts the weights of 3D, of depthwise and of 1 x 1 convolutions into the memory formats whose backward passes are fast.
+    """Puts the weights of 3D, of depthwise and of 1 x 1 convolutions into channels-last memory formats.
 
     Their values, names and gradients stay, and so do optimisers and checkpoints: only the order in memory changes.
     Results differ by rounding.

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from stereokit import CheckpointError, ConfigError, build_model
+from stereokit import CheckpointError, ConfigError, Predictor, build_model
 from stereokit.benchmark.candidates import Candidate, image_pair, rival_source, source_of
 
 CPU = torch.device("cpu")
@@ -47,7 +47,7 @@ def test_random_weights_are_the_same_each_time_and_the_generator_is_left_alone()
 
 
 def test_the_eager_network_is_the_network_in_its_precision() -> None:
-    candidate = Candidate("coex", source_of("coex"), height=32, width=64, max_disparity=32)
+    candidate = Candidate("coex", source_of("coex"), "eager", height=32, width=64, max_disparity=32)
     images = image_pair(candidate, CPU)
     network = candidate.build()
     with torch.inference_mode():
@@ -56,6 +56,14 @@ def test_the_eager_network_is_the_network_in_its_precision() -> None:
         half = Candidate(**{**vars(candidate), "precision": "bfloat16"})
         ready = half.ready(half.build(), CPU)
     assert {p.dtype for p in ready.parameters()} == {torch.bfloat16}
+
+
+def test_torch_is_what_a_predictor_runs() -> None:
+    candidate = Candidate("coex", source_of("coex"), "torch", height=32, width=64, max_disparity=32)
+    images = image_pair(candidate, CPU)
+    with torch.inference_mode():
+        disparity = candidate.ready(candidate.build(), CPU)(*images).disparity
+    assert np.array_equal(Predictor(candidate.build(), CPU)(*images).disparity, disparity[0].numpy())
 
 
 def test_what_is_unknown_is_refused() -> None:

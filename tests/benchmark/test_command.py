@@ -18,9 +18,9 @@ def test_networks_sizes_and_rivals_in_one_table(capsys: pytest.CaptureFixture[st
     record = json.loads((tmp_path / "b.json").read_text())
     rows = [(row["name"], row["backend"], row["precision"], row["height"]) for row in record["rows"]]
     assert rows == [
-        ("coex", "eager", "float32", 32),
+        ("coex", "torch", "float32", 32),
         ("sgbm", "opencv", "uint8", 32),
-        ("coex", "eager", "float32", 64),
+        ("coex", "torch", "float32", 64),
         ("sgbm", "opencv", "uint8", 64),
     ]
     assert all(row["median_seconds"] > 0 and row["max_disparity"] == 32 for row in record["rows"])
@@ -35,8 +35,8 @@ def test_one_failing_candidate_is_a_row_and_all_are_an_error(capsys: pytest.Capt
     odd = ("--size", 32, 64, "--max-disparity", 33, "--repeats", 1, "--warmup", 1)
     code, said, _ = run(capsys, "bench", "coex", "--rival", "sgbm", *odd, "--device", "cpu")
     assert code == 0
-    assert "not timed\ncoex eager float32 32 x 64, batch 1, D 33: max_disparity 33 is not" in said
-    assert "nothing could be timed: coex eager: max_disparity 33" in fails(capsys, "bench", "coex", *odd)
+    assert "not timed\ncoex torch float32 32 x 64, batch 1, D 33: max_disparity 33 is not" in said
+    assert "nothing could be timed: coex torch: max_disparity 33" in fails(capsys, "bench", "coex", *odd)
 
 
 @pytest.mark.parametrize(

@@ -43,15 +43,15 @@ def test_the_confidence_belongs_to_the_regression() -> None:
     model = build_model("coex", max_disparity=64).eval()
     images = torch.rand(2, 1, 3, 32, 64)
 
-    def slow(logits: Tensor) -> Tensor:
+    def slow(logits: Tensor) -> tuple[Tensor, Tensor]:
         clock.readings += 50
-        return torch.zeros_like(logits[:, 0])
+        return torch.zeros_like(logits[:, 0]), torch.zeros_like(logits[:, 0])
 
     clock = SlotClock()
-    model.regression.confidence = slow  # type: ignore[method-assign]
+    model.regression.with_confidence = slow  # type: ignore[method-assign]
     with torch.inference_mode(), StageClock(model, clock=clock) as split:
         model(*images)
-    assert split.passes[0]["regression"] == 52
+    assert split.passes[0]["regression"] == 51
 
 
 def test_the_clock_is_taken_off_after_an_error() -> None:

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from stereokit import StereoOutput, build_model
+from stereokit import StereoModel, StereoOutput, build_model
 from stereokit.errors import InputError
 from stereokit.evaluation import BatchMatcher, NetworkMatcher, SemiGlobalMatcher, describe_matcher
 from stereokit.inference import Predictor
@@ -24,9 +24,9 @@ def test_a_batch_gives_what_single_pairs_give_in_one_pass(predictor, monkeypatch
     assert isinstance(matcher, BatchMatcher)
     alone = [predictor(left, right).disparity for left, right in zip(lefts, rights, strict=True)]
     shapes = []
-    forward = predictor.model.forward
+    forward = StereoModel.forward
     monkeypatch.setattr(
-        predictor.model, "forward", lambda left, right: shapes.append(left.shape) or forward(left, right)
+        StereoModel, "forward", lambda model, left, right: shapes.append(left.shape) or forward(model, left, right)
     )
     together = matcher.match_batch(lefts, rights)
     assert shapes == [(3, 3, 40, 50)]

@@ -18,7 +18,6 @@ print(sum(pages() for _ in range(5)))
 """
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="settings of the GNU C library")
 def test_freed_memory_is_used_again():
     def faults(line):
