@@ -5,24 +5,22 @@
 
 The plain form is written afresh from how the published networks compute: the correlation stacks all shifted features,
 a full sort finds the top k, batch norms run on their own, the superpixel upsampling enlarges nine maps to full size,
-and memory formats are PyTorch's defaults. Each form has a process of its own, and they take turns: what else runs on
-the machine disturbs all of them alike. The errors are against the plain form, on noise as images.
+and memory formats are PyTorch's defaults. Each form has a process of its own, and they take turns. The errors are
+against the plain form, on noise as images.
 """
 
 import argparse
-import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
+from turns import serve, take_turns
 
 from stereokit import (
     CorrelationVolume,
@@ -47,9 +45,6 @@ FORMS: dict[str, dict[str, Any]] = {
     "compiled, memory kept": {"kind": "compiled", "keep": True},
     "bfloat16, memory kept": {"kind": "prepared", "keep": True, "precision": "bfloat16"},
 }
-
-# what passes on the wall, and what the processor's cores spend together; the second is less disturbed by others
-CLOCKS = (time.perf_counter, time.process_time)
 
 
 class StackedCorrelation(nn.Module):
@@ -116,7 +111,7 @@ def network(options: argparse.Namespace) -> Any:
 
 
 def work(options: argparse.Namespace) -> None:
-    """One form in a process of its own: says when it is ready, then computes once per line of input."""
+    """One form, in a process of its own."""
     form = FORMS[options.worker]
     torch.set_num_threads(options.threads)
     if form.get("keep"):
@@ -139,11 +134,7 @@ def work(options: argparse.Namespace) -> None:
         for _ in range(2):
             disparity = model(*images).disparity
         np.save(options.result, disparity.numpy())
-        print(json.dumps(report), flush=True)
-        for _ in sys.stdin:
-            starts = [clock() for clock in CLOCKS]
-            model(*images)
-            print(json.dumps([clock() - start for clock, start in zip(CLOCKS, starts, strict=True)]), flush=True)
+        serve(report, lambda: model(*images))
 
 
 def compare(options: argparse.Namespace, forms: list[str]) -> None:
@@ -151,27 +142,13 @@ def compare(options: argparse.Namespace, forms: list[str]) -> None:
     print(f"{options.model}, {height} x {width}, D = {options.max_disparity}, {options.threads} threads, ", end="")
     print(f"{torch.backends.cpu.get_cpu_capability()}, torch {torch.__version__}, load {os.getloadavg()[0]:.1f}")
     with tempfile.TemporaryDirectory() as folder:
-        workers, reports, times = {}, {}, {form: [] for form in forms}
-        for i, form in enumerate(forms):
-            command = [sys.executable, *sys.argv, "--worker", form, "--result", f"{folder}/{i}.npy"]
-            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-            # one after the other, so that compilation is timed on its own
-            reports[form] = json.loads(process.stdout.readline())
-            workers[form] = process
-        for _ in range(options.rounds):
-            for form, process in workers.items():
-                process.stdin.write("\n")
-                process.stdin.flush()
-                times[form].append(json.loads(process.stdout.readline()))
-        for process in workers.values():
-            process.stdin.close()
-            process.wait()
-        disparities = {form: np.load(Path(folder) / f"{i}.npy") for i, form in enumerate(forms)}
+        results = {form: f"{folder}/{i}.npy" for i, form in enumerate(forms)}
+        reports, medians = take_turns(forms, options.rounds, lambda form: ["--worker", form, "--result", results[form]])
+        disparities = {form: np.load(results[form]) for form in forms}
     print(f"load at the end {os.getloadavg()[0]:.1f}\n")
     print("| form | median [s] | of the published form | processor [s] | of the published form | ", end="")
     print("error at 99.9 % [px] | made ready in [s] |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
-    medians = {form: np.median(times[form], axis=0) for form in forms}
     for form, (wall, processor) in medians.items():
         shares = medians[form] / medians[RIVAL]
         error = np.quantile(np.abs(disparities[form] - disparities[RIVAL]), 0.999)
