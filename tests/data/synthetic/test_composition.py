@@ -8,10 +8,13 @@ from stereokit.data.synthetic.shapes import Box, Ellipse, Lattice, Wire
 from stereokit.errors import ConfigError
 
 
-@given(seed=st.integers(0, 2**32 - 1), highest=st.sampled_from([8.0, 30.0, 128.0]))
+@given(
+    seed=st.integers(0, 2**32 - 1), highest=st.sampled_from([8.0, 30.0, 128.0]), exponent=st.sampled_from([0.0, 2.0])
+)
 @settings(deadline=None, max_examples=40)
-def test_disparity_stays_within_bounds(bank, seed, highest):
-    scene = Composition(size=(48, 128), max_disparity=highest).scene(np.random.default_rng(seed), bank)
+def test_disparity_stays_within_bounds(bank, seed, highest, exponent):
+    composition = Composition(size=(48, 128), max_disparity=highest, range_exponent=exponent)
+    scene = composition.scene(np.random.default_rng(seed), bank)
     for view in ("left", "right"):
         disparity = render_view(scene, view).disparity
         assert disparity.min() >= 0
@@ -37,6 +40,16 @@ def test_the_exponent_moves_things_away(bank):
     assert even.mean() > far.mean() + 1
 
 
+def test_scenes_may_have_ranges_of_their_own(bank):
+    def largest(**options):
+        return disparities(bank, objects=(8, 8), **options)[1].max(axis=(1, 2))
+
+    assert largest().min() > 16
+    own = largest(range_exponent=1.0)
+    assert own.min() < 8 < 24 < own.max() <= 32
+    assert largest(range_exponent=3.0).mean() < own.mean() - 4
+
+
 def test_number_and_kind_of_things(bank):
     def things(scenes):
         return [layer.shape for scene in scenes for layer in scene.layers if layer.shape is not None]
@@ -58,6 +71,7 @@ def test_number_and_kind_of_things(bank):
         ({"size": (16, 512)}, "at least 32 x 32 pixels, got size 16 x 512"),
         ({"max_disparity": 600}, "from 4 to the width 512, got 600"),
         ({"disparity_exponent": 0}, "disparity_exponent must be positive"),
+        ({"range_exponent": -1.0}, "range_exponent must be at least 0, got -1"),
         ({"thin": 1.5}, "thin a part from 0 to 1"),
         ({"objects": (5, 2)}, "fewest and the most"),
     ],

@@ -3,7 +3,7 @@ import pytest
 
 from stereokit.data.images import write_image
 from stereokit.data.synthetic.textures import Ground, Texture, TextureBank, random_palette
-from stereokit.errors import InputError
+from stereokit.errors import ConfigError, InputError
 
 V = np.arange(40, 90, dtype=np.float32)[:, None]
 U = np.broadcast_to(np.arange(100, dtype=np.float32), (50, 100))
@@ -54,6 +54,20 @@ def test_palettes():
         plain = random_palette(np.random.default_rng(seed), 0.0)
         assert (plain == plain[0]).all()
         assert np.abs(random_palette(np.random.default_rng(seed), 0.1).astype(int) - plain).max() <= 26
+
+
+def test_how_often_surfaces_are_blank():
+    def blank(factor):
+        bank = TextureBank(0, tiles=1, plain=factor)
+        rng = np.random.default_rng(0)
+        spreads = np.array([np.ptp(bank.texture(rng, plain=0.5).palette, axis=0).max() for _ in range(200)])
+        # contrasts end at 0.15 where there is next to none, and begin at 0.3 elsewhere, of colours that may be alike
+        return (spreads < 0.15 * 255).mean()
+
+    assert blank(0.0) + 0.2 < blank(1.0) < blank(2.0) - 0.2
+    assert blank(2.0) == 1
+    with pytest.raises(ConfigError, match="plain must be at least 0, got -1"):
+        TextureBank(0, tiles=1, plain=-1)
 
 
 def test_photographs(tmp_path):
