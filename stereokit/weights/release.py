@@ -16,8 +16,8 @@ from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.errors import CheckpointError, ConfigError, StereoKitError
 from stereokit.model import StereoModel
 from stereokit.pretrained import WEIGHTS_NAME
-from stereokit.provenance import file_sha256
-from stereokit.weights.shipped import MANIFEST_NAME, Manifest
+from stereokit.provenance import file_sha256, state_sha256
+from stereokit.weights.shipped import MANIFEST_NAME, Manifest, list_weights, load_weights, read_manifest
 
 __all__ = ["main", "release"]
 
@@ -36,7 +36,8 @@ def release(
 
     Raises:
         CheckpointError: there is no trained network in the folder.
-        ConfigError: a name that is not of this network, or weights that float16 can't hold.
+        ConfigError: a name that is not of this network, weights that float16 can't hold, or a training that began from
+            weights that are not at hand.
         InputError: the files are there already, or can't be written.
     """
     model = StereoModel.from_pretrained(network)
@@ -52,6 +53,7 @@ def release(
     too_large = [key for key, value in state.items() if not value.isfinite().all()]
     if too_large:
         raise ConfigError(f"float16 can't hold {', '.join(too_large)}")
+    training = _with_origin(training, kind)
     make_folder(out)
     with atomic_path(Path(out) / WEIGHTS_NAME, overwrite=False) as temporary:
         temporary.write_bytes(save({key: value.contiguous() for key, value in state.items()}))
@@ -68,6 +70,22 @@ def release(
     with atomic_path(Path(out) / MANIFEST_NAME, overwrite=False) as temporary:
         temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
     return manifest
+
+
+def _with_origin(training: dict[str, Any], network: str) -> dict[str, Any]:
+    """The record, with that of the weights that the training began from."""
+    start = training.get("start")
+    if start is None:
+        return training
+    for name in list_weights(f"{network}.*"):
+        if state_sha256(load_weights(name).state_dict()) == start:
+            origin = read_manifest(name)
+            known = {"name": name, "sha256": origin["sha256"], "training": origin["training"]}
+            return {**training, "started_from": known}
+    raise ConfigError(
+        f"the training began from weights that are not at hand (SHA-256 of their tensors: {start}), so that nobody "
+        f"could tell where these are from; release those first"
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -47,7 +47,8 @@ class Manifest(TypedDict):
     precision: str
     """In which the weights are stored."""
     training: dict[str, Any]
-    """Recipe, seed, commit, steps, pairs seen, seconds, machine, versions: the `training.json` of the run."""
+    """Recipe, seed, commit, steps, pairs seen, seconds, machine, versions: the `training.json` of the run. Under
+    "started_from" the same of the weights that it began with, if it did not begin with random ones."""
     results: dict[str, Any]
     """Measured errors, with the command that measures them."""
 

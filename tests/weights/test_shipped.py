@@ -11,7 +11,7 @@ from stereokit.errors import CheckpointError, ConfigError
 from stereokit.inference import Predictor
 from stereokit.metrics import end_point_error
 from stereokit.model import StereoModel
-from stereokit.provenance import file_sha256
+from stereokit.provenance import file_sha256, state_sha256
 from stereokit.registry import WEIGHTS
 from stereokit.weights import DEFAULTS, default_weights, list_weights, load_weights, read_manifest, weights_folder
 from stereokit.weights.release import main, release
@@ -135,6 +135,23 @@ def test_a_release_holds_halves_and_the_record(mine):
     assert manifest["training"] == {"recipe": {"name": "none"}, "seed": 0}
     assert manifest["results"] == {"bad_3": 99.0}
     assert manifest["precision"] == "float16"
+
+
+def test_a_release_tells_what_its_training_began_with(registered, tmp_path):
+    start = load_weights("coex.mine")
+    start.save_pretrained(tmp_path / "network")
+    record = tmp_path / "network" / "training.json"
+    record.write_text(json.dumps({"seed": 1, "start": state_sha256(start.state_dict())}))
+    training = release(tmp_path / "network", "coex.next", tmp_path / "next", results={})["training"]
+    before = read_manifest("coex.mine")
+    assert training["started_from"] == {
+        "name": "coex.mine",
+        "sha256": before["sha256"],
+        "training": before["training"],
+    }
+    record.write_text(json.dumps({"seed": 1, "start": "0" * 64}))
+    with pytest.raises(ConfigError, match=r"not at hand \(SHA-256 of their tensors: 000"):
+        release(tmp_path / "network", "coex.other", tmp_path / "other", results={})
 
 
 def test_releases_that_can_not_be(mine, tmp_path, capsys):
