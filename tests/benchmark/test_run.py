@@ -31,8 +31,8 @@ class Takes(nn.Module):
         return StereoOutput(left[:, 0].float())
 
 
-def takes(seconds: float, **place: Any) -> Candidate:
-    return Candidate(f"takes {seconds}", partial(Takes, seconds), height=32, width=64, **place)
+def takes(seconds: float, backend: str = "eager", **place: Any) -> Candidate:
+    return Candidate(f"takes {seconds}", partial(Takes, seconds), backend, height=32, width=64, **place)
 
 
 class Breaks(Takes):
@@ -66,7 +66,7 @@ def test_warming_up_is_not_timed() -> None:
         counts.clear()
         # one more, of the tensors without data that the memory is estimated from
         Counts.slow = warmup + 1
-        [row] = run_benchmark([Candidate("c", partial(Counts, 1))], repeats=3, warmup=warmup, clock=clock).rows
+        [row] = run_benchmark([Candidate("c", partial(Counts, 1), "eager")], repeats=3, warmup=warmup, clock=clock).rows
         assert row.seconds == (1, 1, 1)
         assert len(counts) == warmup + 1 + 3
 
