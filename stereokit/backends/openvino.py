@@ -8,6 +8,7 @@ import torch
 
 from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.optional import import_optional
+from stereokit.backends.signal_stack import kept_signal_stack
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.export.metadata import KEY, ExportMetadata
 
@@ -35,6 +36,7 @@ class OpenVinoBackend(ExportedBackend):
 
     name = "openvino"
 
+    @kept_signal_stack()
     def __init__(
         self,
         path: str | PathLike[str],
@@ -73,6 +75,7 @@ class OpenVinoBackend(ExportedBackend):
         hint = self._compiled.get_property("INFERENCE_PRECISION_HINT").get_type_name()
         self.precision = wanted if quantised else next(p for p, h in HINTS.items() if h == hint)
 
+    @kept_signal_stack()
     def run(self, left: npt.NDArray[np.float32], right: npt.NDArray[np.float32]) -> list[npt.NDArray[np.float32]]:
         """One pair through the file."""
         maps = self._compiled({"left": left, "right": right})

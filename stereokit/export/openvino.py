@@ -11,6 +11,7 @@ from torch import nn
 
 from stereokit.backends.openvino import OpenVinoBackend
 from stereokit.backends.optional import import_optional
+from stereokit.backends.signal_stack import kept_signal_stack
 from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError, InputError
 from stereokit.export.checking import Pair, check_exact, check_pairs, compare
@@ -107,6 +108,7 @@ def _check_calibration(precision: str, calibration: Sequence[Pair] | None, size:
             )
 
 
+@kept_signal_stack()
 def _convert(openvino: Any, network: nn.Module, size: tuple[int, int] | None, precision: str) -> Any:
     """By way of ONNX: OpenVINO's own reader of programs lacks what the correlation and dynamic pooling need."""
     proto = to_onnx(network, size, OPSET)
