@@ -196,7 +196,7 @@ def _predict(options: argparse.Namespace) -> None:
         if result.invalid:
             tqdm.write(f"{pair.name}: {result.invalid} pixels have no finite disparity", file=sys.stderr)
         if result.preparation_seconds:
-            tqdm.write(f"{pair.name}: compiled for {width} x {height} px in {result.preparation_seconds:.1f} s")
+            tqdm.write(f"{pair.name}: made ready for {width} x {height} px in {result.preparation_seconds:.1f} s")
         tqdm.write(
             f"{pair.name}: {width} x {height} px, disparity {low:.1f} to {high:.1f} px, {result.seconds:.2f} s "
             f"on {predictor.device}; wrote {', '.join(map(str, written))}"

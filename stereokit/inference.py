@@ -41,7 +41,7 @@ class DisparityResult:
         disparity: (H, W) float32, pixels of the left image; x_right = x_left - disparity.
         confidence: (H, W) float32 in [0, 1], the probability mass behind the estimate; None if the network gives none.
         seconds: that the network took, with the transfer to and from the device.
-        preparation_seconds: that went before it into what the backend needs once for a size, such as compiling.
+        preparation_seconds: that went before it into what the backend needs once, or once for a size: compiling.
 
     >>> result = DisparityResult(np.full((40, 60), 12.5, np.float32), confidence=None, seconds=0.1)
     >>> result.size
