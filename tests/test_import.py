@@ -101,3 +101,28 @@ model = stereokit.build_model("coex", max_disparity=64).eval()
 print(tuple(model(torch.rand(1, 3, 32, 64), torch.rand(1, 3, 32, 64)).disparity.shape))
 """
     assert run(program) == "(1, 32, 64)\n"
+
+
+EVERY_MODULE_FIRST = """
+import importlib, pkgutil, sys
+import stereokit
+loaded = dict(sys.modules)
+names = [m.name for m in pkgutil.walk_packages(stereokit.__path__, "stereokit.") if not m.name.endswith("__main__")]
+for name in names:
+    for other in [n for n in sys.modules if n.startswith("stereokit.") and n not in loaded]:
+        del sys.modules[other]
+    try:
+        importlib.import_module(name)
+    except ImportError as error:
+        if (error.name or "").startswith("stereokit"):
+            print(name, error)
+print(len(names), "modules")
+"""
+
+
+def test_every_module_can_be_the_first_that_is_imported_after_the_package():
+    """None depends on others having been imported before: that would fail for some users and for no test."""
+    # walking the packages imports them in the order of the alphabet, which this undoes
+    *failed, count = run(EVERY_MODULE_FIRST).splitlines()
+    assert not failed, failed
+    assert int(count.split()[0]) > 100

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from stereokit.backends.estimate import Estimate
+from stereokit.backends.metadata import ExportMetadata
 from stereokit.errors import InputError
-from stereokit.export.metadata import ExportMetadata
 from stereokit.model import check_least_size
 
 __all__ = ["ExportedBackend"]

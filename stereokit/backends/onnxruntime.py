@@ -7,9 +7,9 @@ import numpy.typing as npt
 import torch
 
 from stereokit.backends.exported import ExportedBackend
+from stereokit.backends.metadata import ExportMetadata
 from stereokit.backends.optional import import_optional
 from stereokit.errors import CheckpointError, ConfigError
-from stereokit.export.metadata import ExportMetadata
 
 __all__ = ["OnnxRuntimeBackend"]
 

@@ -7,10 +7,10 @@ import numpy.typing as npt
 import torch
 
 from stereokit.backends.exported import ExportedBackend
+from stereokit.backends.metadata import KEY, ExportMetadata
 from stereokit.backends.optional import import_optional
 from stereokit.backends.signal_stack import kept_signal_stack
 from stereokit.errors import CheckpointError, ConfigError
-from stereokit.export.metadata import KEY, ExportMetadata
 
 __all__ = ["OpenVinoBackend"]
 

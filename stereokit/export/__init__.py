@@ -1,6 +1,6 @@
 """Networks as files for other runtimes: ONNX, OpenVINO, and programs of `torch.export`."""
 
-from stereokit.export.metadata import ExportMetadata
+from stereokit.backends.metadata import ExportMetadata
 from stereokit.export.onnx import export_onnx
 from stereokit.export.openvino import export_openvino
 from stereokit.export.program import export_program

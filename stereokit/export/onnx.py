@@ -7,13 +7,13 @@ from typing import Any
 import torch
 from torch import nn
 
+from stereokit.backends.metadata import KEY, ExportMetadata, describe_network
 from stereokit.backends.onnxruntime import OnnxRuntimeBackend
 from stereokit.backends.optional import import_optional
 from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError
 from stereokit.export.checking import Pair, check_exact, check_pairs, compare
 from stereokit.export.graph import ExportGraph, naming_block, trace
-from stereokit.export.metadata import KEY, ExportMetadata, describe_network
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
 

@@ -9,13 +9,13 @@ from typing import Any
 import torch
 from torch import nn
 
+from stereokit.backends.metadata import KEY, ExportMetadata
 from stereokit.backends.openvino import OpenVinoBackend
 from stereokit.backends.optional import import_optional
 from stereokit.backends.signal_stack import kept_signal_stack
 from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError, InputError
 from stereokit.export.checking import Pair, check_exact, check_pairs, compare
-from stereokit.export.metadata import KEY, ExportMetadata
 from stereokit.export.onnx import to_onnx
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu

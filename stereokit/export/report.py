@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from stereokit.backends.metadata import ExportMetadata
 from stereokit.export.checking import Difference
-from stereokit.export.metadata import ExportMetadata
 
 __all__ = ["ExportReport"]
 

@@ -9,9 +9,9 @@ from torch import nn
 
 from stereokit import CheckpointError, ConfigError, InputError, Predictor, StereoOutput, build_model, list_models
 from stereokit._version import __version__
+from stereokit.backends.metadata import FORMAT, KEY, ExportMetadata
 from stereokit.export import export_onnx
 from stereokit.export.checking import random_pair
-from stereokit.export.metadata import FORMAT, KEY, ExportMetadata
 from stereokit.models.ablation import ABLATION
 from tests.export.networks import Untrue
 
