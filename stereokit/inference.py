@@ -2,7 +2,9 @@
 
 import os
 import time
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
+from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.opening import FILE_BACKENDS, check_backend, is_exported, open_backend
 from stereokit.data.atomic import atomic_path, check_free, make_folder
 from stereokit.data.disparity_files import write_disparity
@@ -143,7 +146,8 @@ class Predictor:
             in overlapping tiles, "reduce" at a reduced resolution; see `stereokit.tiling`.
 
     Raises:
-        ConfigError: the device or the backend is unknown, absent, or not for this model.
+        ConfigError: the device or the backend is unknown, absent, or not for this model; or limits of memory for an
+            exported file of one size alone.
         CheckpointError: there is no saved network or exported file at this place, or it can't be used.
 
     >>> predict = Predictor("coex", device="cpu")
@@ -162,19 +166,15 @@ class Predictor:
         max_memory: MemorySize | None = None,
         too_large: TooLarge = "error",
     ) -> None:
-        if is_exported(model) and (max_memory is not None or too_large != "error"):
-            raise ConfigError(
-                "max_memory and too_large are for networks that torch runs; stereokit.tiling.match_tiles cuts pairs "
-                "for anything that matches them"
-            )
         if not is_exported(model):
             check_backend(backend)
             device = choose_device(device)
             model = model if isinstance(model, nn.Module) else _saved_network(model)
         self.backend = open_backend(model, device, backend, precision)
+        self._limits: dict[str, Any] = {"max_memory": max_memory, "too_large": too_large}
         self._bounded: BoundedMatcher | None = None
-        if isinstance(model, nn.Module):
-            self._bounded = BoundedMatcher(model, run=self._run, max_memory=max_memory, tiles=too_large)
+        if isinstance(self.backend, TorchBackend) or max_memory is not None or too_large != "error":
+            self._bounded = self._matcher()
 
     @property
     def device(self) -> torch.device:
@@ -205,19 +205,36 @@ class Predictor:
         left, right = to_pair(left, right)
         height, width = left.shape[-2:]
         check_least_size(height, width)
-        if self._bounded is not None and (self._bounded.max_memory is not None or height * width > LARGE):
-            plan = self._bounded.plan(height, width)
-            if plan.how != "whole":
-                start = time.perf_counter()
-                output = self._bounded.match(left, right, plan)
-                confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
-                return DisparityResult(output.disparity[0].cpu().numpy(), confidence, time.perf_counter() - start)
+        bounded = self._bounded_for(height, width)
+        if bounded is not None and (plan := bounded.plan(height, width)).how != "whole":
+            start = time.perf_counter()
+            output = bounded.match(left, right, plan)
+            confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
+            return DisparityResult(output.disparity[0].cpu().numpy(), confidence, time.perf_counter() - start)
         preparation_seconds = self.backend.prepare(left, right)
         start = time.perf_counter()
         estimate = self.backend(left, right)
         seconds = time.perf_counter() - start
         confidence = None if estimate.confidence is None else estimate.confidence[0]
         return DisparityResult(estimate.disparity[0], confidence, seconds, preparation_seconds)
+
+    def _bounded_for(self, height: int, width: int) -> BoundedMatcher | None:
+        """What holds pairs of this size to the memory; None where no limit was given and they are small."""
+        if self._limits["max_memory"] is None and height * width <= LARGE:
+            return None
+        if self._bounded is None:
+            # an exported file: its network is built for the first large pair, if it can be
+            with suppress(ConfigError):
+                self._bounded = self._matcher()
+        return self._bounded
+
+    def _matcher(self) -> BoundedMatcher:
+        if isinstance(self.backend, ExportedBackend):
+            network = self.backend.as_module()
+            return BoundedMatcher(
+                network, run=self._run, estimate=partial(self.backend.estimate_memory, network), **self._limits
+            )
+        return BoundedMatcher(self.model, run=self._run, **self._limits)
 
     def _run(self, left: Tensor, right: Tensor) -> StereoOutput:
         """The backend, as a part of a pair is matched."""

@@ -220,17 +220,17 @@ class BoundedMatcher:
             device.
         max_memory: bytes, or a text such as "4GiB", that a pass may take beside the weights; by default what is free
             on the network's device when a pair comes.
-        tiles: what becomes of a pair that needs more: "error" says so, and what would do; "tile", see
+        too_large: what becomes of a pair that needs more: "error" says so, and what would do; "tile", see
             `match_tiles`; "reduce", see `match_reduced`.
         overlap: of the tiles, in pixels.
         estimate: height and width to bytes, in place of `estimate_memory` of the network.
 
     Raises:
-        ConfigError: an unknown `tiles`, or no amount of memory.
+        ConfigError: an unknown `too_large`, or no amount of memory.
 
     >>> from stereokit import build_model
     >>> model = build_model("coex", max_disparity=32).eval()
-    >>> match = BoundedMatcher(model, max_memory="100MB", tiles="tile")
+    >>> match = BoundedMatcher(model, max_memory="100MB", too_large="tile")
     >>> match.plan(2000, 3000).how
     'tile'
     """
@@ -241,14 +241,14 @@ class BoundedMatcher:
         *,
         run: Run | None = None,
         max_memory: MemorySize | None = None,
-        tiles: TooLarge = "error",
+        too_large: TooLarge = "error",
         overlap: int = OVERLAP,
         estimate: Callable[[int, int], int] | None = None,
     ) -> None:
-        if tiles not in get_args(TooLarge):
-            raise ConfigError(f"tiles={tiles!r} is unknown; 'error', 'tile' or 'reduce' would do")
+        if too_large not in get_args(TooLarge):
+            raise ConfigError(f"too_large={too_large!r} is unknown; 'error', 'tile' or 'reduce' would do")
         self.max_memory = None if max_memory is None else parse_memory(max_memory)
-        self.tiles: TooLarge = tiles
+        self.too_large: TooLarge = too_large
         self.overlap = overlap
         self.run: Run = network if run is None else run
         self.device = next((tensor.device for tensor in (*network.parameters(), *network.buffers())), None)
@@ -308,13 +308,13 @@ class BoundedMatcher:
         if needed <= allowed:
             return MemoryPlan("whole", needed, allowed)
         # what was not asked for is looked for too where it can be offered
-        tile = self._tile(height, width, allowed) if self.tiles != "reduce" else None
-        scale = self._scale(height, width, allowed) if tile is None or self.tiles == "error" else None
-        if self.tiles == "reduce" and scale is None:
+        tile = self._tile(height, width, allowed) if self.too_large != "reduce" else None
+        scale = self._scale(height, width, allowed) if tile is None or self.too_large == "error" else None
+        if self.too_large == "reduce" and scale is None:
             tile = self._tile(height, width, allowed)
-        if self.tiles == "tile" and tile is not None:
+        if self.too_large == "tile" and tile is not None:
             return MemoryPlan("tile", needed, allowed, tile=tile, tiles=self._count(height, width, tile))
-        if self.tiles == "reduce" and scale is not None:
+        if self.too_large == "reduce" and scale is not None:
             return MemoryPlan("reduce", needed, allowed, scale=scale)
         raise InputError(self._refusal(height, width, needed, allowed, tile, scale))
 
@@ -390,10 +390,12 @@ class BoundedMatcher:
         offers = []
         if tile is not None:
             count = self._count(height, width, tile)
-            offers.append(f"tiles='tile' would match it in {count} overlapping tiles of {tile[1]} x {tile[0]} pixels")
+            offers.append(
+                f"too_large='tile' would match it in {count} overlapping tiles of {tile[1]} x {tile[0]} pixels"
+            )
         if scale is not None:
             reach = f", with disparities up to {self.max_disparity / scale:.0f} px" if self.max_disparity else ""
-            offers.append(f"tiles='reduce' would match it at {scale:g} of its size{reach}")
+            offers.append(f"too_large='reduce' would match it at {scale:g} of its size{reach}")
         return (
             f"a pair of {width} x {height} pixels needs about {format_memory(needed)} of memory, "
             f"{format_memory(allowed)} are {whose}; "

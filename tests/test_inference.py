@@ -168,7 +168,5 @@ def test_a_pair_that_memory_can_not_hold_is_refused_or_cut_before_it_starts() ->
         assert result.confidence.shape == (320, 700)
         assert result.disparity.dtype == np.float32
         assert not np.array_equal(result.disparity, whole.disparity)
-    with pytest.raises(ConfigError, match="networks that torch runs"):
-        Predictor("network.onnx", max_memory="1GiB")
     with pytest.raises(ConfigError, match="'error', 'tile' or 'reduce'"):
         Predictor(model, "cpu", too_large="shrink")  # type: ignore[arg-type]

@@ -132,12 +132,12 @@ class Small(nn.Module):
         return local(left, right)
 
 
-def bounded(max_memory: int | str, tiles: str = "error") -> tuple[BoundedMatcher, Small]:
+def bounded(max_memory: int | str, too_large: str = "error") -> tuple[BoundedMatcher, Small]:
     network = Small()
     matcher = BoundedMatcher(
         network,
         max_memory=max_memory,
-        tiles=tiles,  # type: ignore[arg-type]
+        too_large=too_large,  # type: ignore[arg-type]
         overlap=32,
         estimate=lambda height, width: 1000 * height * width,
     )
@@ -157,8 +157,8 @@ def test_a_pair_that_does_not_fit_is_refused_before_it_starts() -> None:
     matcher, network = bounded("30MB")
     message = (
         r"400 x 160 pixels needs about 61 MiB of memory, 29 MiB are allowed by max_memory; "
-        r"tiles='tile' would match it in \d+ overlapping tiles of \d+ x \d+ pixels, "
-        r"tiles='reduce' would match it at 0\.68 of its size, with disparities up to 44 px"
+        r"too_large='tile' would match it in \d+ overlapping tiles of \d+ x \d+ pixels, "
+        r"too_large='reduce' would match it at 0\.68 of its size, with disparities up to 44 px"
     )
     with pytest.raises(InputError, match=message):
         matcher(*PAIR)
@@ -185,7 +185,7 @@ def test_memory_that_does_not_grow_with_the_pixels_alone_is_respected() -> None:
 
     for tiles in ("tile", "reduce"):
         network = Small()
-        settings = {"tiles": tiles, "overlap": 32, "estimate": estimate}
+        settings = {"too_large": tiles, "overlap": 32, "estimate": estimate}
         matcher = BoundedMatcher(network, max_memory="30MB", **settings)  # type: ignore[arg-type]
         matcher(*PAIR)
         assert all(estimate(*size) <= 30_000_000 for size in network.seen)
@@ -197,7 +197,7 @@ def test_where_nothing_fits_the_message_says_so() -> None:
         with pytest.raises(InputError, match="neither a tile nor a reduced resolution fits"):
             matcher(*PAIR)
     matcher, _ = bounded("2.7MB", "tile")
-    with pytest.raises(InputError, match=r"tiles='reduce' would match it at 0\.2 of"):
+    with pytest.raises(InputError, match=r"too_large='reduce' would match it at 0\.2 of"):
         matcher(*PAIR)
 
 

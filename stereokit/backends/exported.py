@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from stereokit.backends.estimate import Estimate
 from stereokit.backends.metadata import ExportMetadata
-from stereokit.errors import InputError
+from stereokit.builder import build_model
+from stereokit.errors import ConfigError, InputError
+from stereokit.memory import estimate_memory
 from stereokit.model import check_least_size
 
 __all__ = ["ExportedBackend"]
@@ -26,6 +28,8 @@ class ExportedBackend(ABC):
     name: str
     metadata: ExportMetadata
     precision: str
+    memory_share: float
+    """The memory that a pair takes, in parts of what `estimate_memory` finds for PyTorch, at most."""
 
     def __init__(self, path: str | PathLike[str], device: torch.device) -> None:
         self.path = fspath(path)
@@ -56,6 +60,25 @@ class ExportedBackend(ABC):
     def describe(self) -> dict[str, Any]:
         """What the file says of itself, in plain JSON."""
         return {"configuration": self.metadata.network, "export": self.metadata.to_dict()}
+
+    def as_module(self) -> nn.Module:
+        """The network in the file as a module, with random weights.
+
+        Raises:
+            ConfigError: the file is for one size alone, or its network was composed by hand, or of components that
+                are not registered here.
+        """
+        if self.metadata.size is not None or self.metadata.network is None:
+            reason = "was exported for one size alone" if self.metadata.size else "does not name its components"
+            raise ConfigError(
+                f"pairs can't be held to limits of memory with {self.path!r}, which {reason}; "
+                "a file of a registered network, exported without a size, would do"
+            )
+        return build_model(dict(self.metadata.network)).to("cuda" if self.device.type == "cuda" else "cpu").eval()
+
+    def estimate_memory(self, network: nn.Module, height: int, width: int) -> int:
+        """The memory in bytes that a pair takes at most, from what PyTorch takes for the `network` of `as_module`."""
+        return int(self.memory_share * estimate_memory(network, height, width))
 
     def _check_size(self, height: int, width: int) -> None:
         check_least_size(height, width)

@@ -30,6 +30,8 @@ class OnnxRuntimeBackend(ExportedBackend):
     """
 
     name = "onnxruntime"
+    # 0.4 to 0.6 for CoEx, by benchmarks/file_memory.py
+    memory_share = 0.7
 
     def __init__(
         self, path: str | PathLike[str], device: str | torch.device = "auto", precision: str | None = None

@@ -20,6 +20,7 @@ from stereokit.model import StereoModel
 from stereokit.optimize import Precision, prepare_for_inference
 from stereokit.published import NETWORKS, load_published
 from stereokit.registry import list_models, suggest
+from stereokit.weights import list_weights, load_weights
 
 __all__ = ["BACKENDS", "Candidate", "Ready", "Source", "image_pair", "rival_source", "source_of"]
 
@@ -148,7 +149,7 @@ further backend takes a further entry; one that is not installed raises `ConfigE
 
 
 def source_of(model: str) -> Source:
-    """The source of a network: a registered name, a folder of a saved network, or a published checkpoint.
+    """The source of a network: a registered name, that of weights, a folder of a saved network, a published checkpoint.
 
     Weights do not change the speed: a registered network has random ones.
 
@@ -163,9 +164,11 @@ def source_of(model: str) -> Source:
         return partial(_saved, model)
     if Path(model).is_file():
         return partial(_published, model)
+    if model in list_weights():
+        return partial(load_weights, model)
     if model not in list_models():
         raise ConfigError(
-            f"{model!r} is no folder or file, and no network; {suggest(model, list_models())}, "
+            f"{model!r} is no folder or file, and no network; {suggest(model, [*list_models(), *list_weights()])}, "
             "or the folder of a saved network"
         )
     return partial(build_model, model)

@@ -38,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "models",
         nargs="*",
         metavar="MODEL_OR_WEIGHTS",
-        help=f"{', '.join(list_models())}, a folder of a saved network, or a published checkpoint (default: coex)",
+        help=f"{', '.join(list_models())}, a name of stereokit list weights, "
+        "a folder of a saved network, or a published checkpoint (default: coex)",
     )
     parser.add_argument("--rival", nargs="+", default=[], metavar="NAME", help=f"{', '.join(SGBM_VARIANTS)}")
     parser.add_argument(

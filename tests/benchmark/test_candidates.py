@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from stereokit import CheckpointError, ConfigError, Predictor, build_model
+from stereokit import CheckpointError, ConfigError, Predictor, build_model, list_weights, load_weights
 from stereokit.benchmark.candidates import Candidate, image_pair, rival_source, source_of
 
 CPU = torch.device("cpu")
@@ -20,6 +20,10 @@ def test_a_network_by_name_or_from_a_folder(tmp_path: Path) -> None:
     # with another D, only the configuration is of use
     assert saved(max_disparity=32).max_disparity == 32
     assert source_of("psmnet")(max_disparity=64).config["name"] == "psmnet"
+    for name in list_weights():
+        made, shipped = source_of(name)(max_disparity=64), load_weights(name)
+        assert made.max_disparity == 64
+        assert torch.equal(next(made.parameters()), next(shipped.parameters()))
     with pytest.raises(ConfigError, match=r"did you mean 'coex'"):
         source_of("coexx")
     (tmp_path / "file").write_text("")

@@ -12,6 +12,7 @@ from stereokit._version import __version__
 from stereokit.backends.metadata import FORMAT, KEY, ExportMetadata
 from stereokit.export import export_onnx
 from stereokit.export.checking import random_pair
+from stereokit.memory import estimate_memory
 from stereokit.models.ablation import ABLATION
 from tests.export.networks import Untrue
 
@@ -93,6 +94,50 @@ def test_a_fixed_size_takes_no_other(tiny, tmp_path):
     assert predict(*random_pair(40, 64)).size == (40, 64)
     with pytest.raises(InputError, match=r"are 50 x 60 pixels, but .* exported for 64 x 40 alone"):
         predict(*random_pair(60, 50))
+
+
+def saying(path, metadata, folder):
+    """A copy of a file that says something else of itself."""
+    model = onnx.load(path)
+    [entry] = [entry for entry in model.metadata_props if entry.key == KEY]
+    entry.value = metadata.to_json()
+    onnx.save(model, folder / "other.onnx")
+    return folder / "other.onnx"
+
+
+def test_pairs_are_held_to_limits_of_memory(exported, tiny, tmp_path):
+    config = dict(build_model("coex", max_disparity=32).config)
+    path = saying(exported.path, dataclasses.replace(exported.metadata, network=config), tmp_path)
+    left, right = random_pair(320, 700)
+    whole = Predictor(path, max_memory="100GB")(left, right)
+    network = build_model(config).eval()
+    allowed = int(0.5 * estimate_memory(network, 320, 700))
+    with pytest.raises(InputError, match=r"a pair of 700 x 320 pixels needs about .* too_large='tile' would match"):
+        Predictor(path, max_memory=allowed)(left, right)
+    tiled = Predictor(path, max_memory=allowed, too_large="tile")(left, right)
+    # the network in the file looks no farther than a few pixels
+    np.testing.assert_allclose(tiled.disparity, whole.disparity, atol=1e-4)
+    np.testing.assert_allclose(tiled.confidence, whole.confidence, atol=1e-5)
+    reduced = Predictor(path, max_memory=allowed, too_large="reduce")(left, right)
+    assert reduced.size == (320, 700)
+    assert not np.array_equal(reduced.disparity, whole.disparity)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({}, "does not name its components"),
+        ({"network": {"name": "coex"}, "size": (320, 700)}, "was exported for one size alone"),
+        ({"network": {"name": "unheard_of"}}, "unheard_of"),
+    ],
+)
+def test_files_that_can_not_be_held_to_limits_say_so_and_run_without(exported, tmp_path, changed, message, monkeypatch):
+    path = saying(exported.path, dataclasses.replace(exported.metadata, **changed), tmp_path)
+    for limits in ({"max_memory": "1GiB"}, {"too_large": "tile"}):
+        with pytest.raises(ConfigError, match=message):
+            Predictor(path, **limits)
+    monkeypatch.setattr("stereokit.inference.LARGE", 1000)
+    assert Predictor(path)(*random_pair(320, 700)).size == (320, 700)
 
 
 def test_a_file_holds_no_module(exported):
