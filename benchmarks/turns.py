@@ -42,7 +42,7 @@ def take_turns(
 
 
 def serve(report: Any, run: Callable[[], object]) -> None:
-    """Says that this form is ready, then runs it once per line of input, after once untimed: the others had the caches."""
+    """Says that this form is ready; then, for each line of input, runs it once untimed and once timed."""
     print(json.dumps(report), flush=True)
     for _ in sys.stdin:
         run()
