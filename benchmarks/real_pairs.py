@@ -1,6 +1,6 @@
 """Evaluates matchers on eleven real pairs and prints one table of their errors.
 
-    python benchmarks/real_pairs.py --weights coex.synthetic_v1
+    python benchmarks/real_pairs.py --weights coex.synthetic_v2
     python benchmarks/real_pairs.py --weights coex.ckpt --channel-order rgb
 
 The scenes are from Middlebury, SceneFlow, ETH3D and KITTI 2012. All pixels with known ground truth count, occluded ones

@@ -93,9 +93,9 @@ def test_predict_goes_on_after_a_broken_pair(capsys: pytest.CaptureFixture[str],
 def test_predict_says_which_networks_have_weights(capsys: pytest.CaptureFixture[str], images: Path) -> None:
     pair = images / "left/a.png", images / "right/a.png"
     said = fails(capsys, "predict", *pair, "--model", "psmnet", "--out", images / "out")
-    assert "no weights for 'psmnet'; there are coex.synthetic_v1" in said
+    assert "no weights for 'psmnet'; there are coex.synthetic_v2" in said
     assert "give --weights" in said
-    said = fails(capsys, "predict", *pair, "--model", "psmnet", "--weights", "coex.synthetic_v1")
+    said = fails(capsys, "predict", *pair, "--model", "psmnet", "--weights", "coex.synthetic_v2")
     assert "are no weights of a psmnet" in said
     said = fails(capsys, "predict", *pair, "--top-k", "3", "--out", images / "out")
     assert "are for published checkpoints" in said

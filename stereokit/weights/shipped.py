@@ -28,7 +28,7 @@ __all__ = [
 
 MANIFEST_NAME = "manifest.json"
 
-DEFAULTS = {"coex": "coex.synthetic_v1"}
+DEFAULTS = {"coex": "coex.synthetic_v2"}
 """What `pretrained=True` stands for, by network."""
 
 
@@ -53,10 +53,10 @@ class Manifest(TypedDict):
     """Measured errors, with the command that measures them."""
 
 
-@WEIGHTS.register("coex.synthetic_v1")
-def coex_synthetic_v1() -> Path:
+@WEIGHTS.register("coex.synthetic_v2")
+def coex_synthetic_v2() -> Path:
     """CoEx, trained on scenes that this library renders and on nothing else."""
-    return Path(__file__).parent / "coex.synthetic_v1"
+    return Path(__file__).parent / "coex.synthetic_v2"
 
 
 def list_weights(pattern: str = "*") -> list[str]:
@@ -66,7 +66,7 @@ def list_weights(pattern: str = "*") -> list[str]:
         pattern: shell-style wildcard.
 
     >>> list_weights("coex.*")
-    ['coex.synthetic_v1']
+    ['coex.synthetic_v2']
     """
     return WEIGHTS.names(pattern)
 
@@ -78,7 +78,7 @@ def default_weights(network: str) -> str:
         ConfigError: there are none for this network, or several of other packages.
 
     >>> default_weights("coex")
-    'coex.synthetic_v1'
+    'coex.synthetic_v2'
     """
     if network in DEFAULTS:
         return DEFAULTS[network]
@@ -108,7 +108,7 @@ def read_manifest(name: str) -> Manifest:
         ConfigError: there are none of this name.
         CheckpointError: the manifest is missing or damaged.
 
-    >>> read_manifest("coex.synthetic_v1")["licence"]
+    >>> read_manifest("coex.synthetic_v2")["licence"]
     'Apache-2.0'
     """
     path = weights_folder(name) / MANIFEST_NAME
@@ -133,7 +133,7 @@ def load_weights(name: str, **overrides: Any) -> StereoModel:
         ConfigError: there are no weights of this name, or an override that can't be.
         CheckpointError: the file is missing or damaged, or does not fit the network.
 
-    >>> load_weights("coex.synthetic_v1", top_k=3).config["regression"]["k"]
+    >>> load_weights("coex.synthetic_v2", top_k=3).config["regression"]["k"]
     3
     """
     manifest = read_manifest(name)
