@@ -30,7 +30,7 @@ class OnnxRuntimeBackend(ExportedBackend):
     """
 
     name = "onnxruntime"
-    # 0.4 to 0.6 for CoEx, by benchmarks/file_memory.py
+    # 0.6 for CoEx, by benchmarks/file_memory.py
     memory_share = 0.7
 
     def __init__(
