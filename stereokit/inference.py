@@ -2,7 +2,6 @@
 
 import os
 import time
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,13 +23,15 @@ from stereokit.inputs import ImageLike, to_pair
 from stereokit.memory import MemorySize
 from stereokit.model import StereoModel, StereoOutput, check_least_size
 from stereokit.registry import MODELS, WEIGHTS
-from stereokit.tiling import BoundedMatcher, TooLarge
+from stereokit.tiling import BoundedMatcher, MemoryPlan, TooLarge
 from stereokit.viz import picture_with_scale
 from stereokit.weights import default_weights, load_weights
 
 __all__ = ["DisparityResult", "Predictor", "choose_device"]
 
 KITTI_MAX = 65535 / 256
+
+NO_LIMITS: dict[str, Any] = {"max_memory": None, "too_large": "error"}
 
 LARGE = 500_000
 """Pixels from which on a pair's need of memory is estimated first, which takes a second for each new size."""
@@ -172,8 +173,9 @@ class Predictor:
             model = model if isinstance(model, nn.Module) else _saved_network(model)
         self.backend = open_backend(model, device, backend, precision)
         self._limits: dict[str, Any] = {"max_memory": max_memory, "too_large": too_large}
+        self._measurable = True
         self._bounded: BoundedMatcher | None = None
-        if isinstance(self.backend, TorchBackend) or max_memory is not None or too_large != "error":
+        if isinstance(self.backend, TorchBackend) or self._limits != NO_LIMITS:
             self._bounded = self._matcher()
 
     @property
@@ -205,8 +207,8 @@ class Predictor:
         left, right = to_pair(left, right)
         height, width = left.shape[-2:]
         check_least_size(height, width)
-        bounded = self._bounded_for(height, width)
-        if bounded is not None and (plan := bounded.plan(height, width)).how != "whole":
+        if (cut := self._cut(height, width)) is not None:
+            bounded, plan = cut
             start = time.perf_counter()
             output = bounded.match(left, right, plan)
             confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
@@ -218,15 +220,21 @@ class Predictor:
         confidence = None if estimate.confidence is None else estimate.confidence[0]
         return DisparityResult(estimate.disparity[0], confidence, seconds, preparation_seconds)
 
-    def _bounded_for(self, height: int, width: int) -> BoundedMatcher | None:
-        """What holds pairs of this size to the memory; None where no limit was given and they are small."""
-        if self._limits["max_memory"] is None and height * width <= LARGE:
+    def _cut(self, height: int, width: int) -> tuple[BoundedMatcher, MemoryPlan] | None:
+        """What matches pairs of this size in less memory than the whole takes, and how; None where the whole fits."""
+        if not self._measurable or (self._limits["max_memory"] is None and height * width <= LARGE):
             return None
-        if self._bounded is None:
-            # an exported file: its network is built for the first large pair, if it can be
-            with suppress(ConfigError):
-                self._bounded = self._matcher()
-        return self._bounded
+        try:
+            # the network of an exported file is built for the first large pair
+            self._bounded = self._bounded or self._matcher()
+            plan = self._bounded.plan(height, width)
+        except ConfigError:
+            if self._limits != NO_LIMITS:
+                raise
+            # nobody asked for a limit, so what can't be measured just runs
+            self._measurable = False
+            return None
+        return None if plan.how == "whole" else (self._bounded, plan)
 
     def _matcher(self) -> BoundedMatcher:
         if isinstance(self.backend, ExportedBackend):

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch.utils.flop_counter import FlopCounterMode
 
 from stereokit.model import StereoModel
 
@@ -46,6 +45,9 @@ def model_summary(model: StereoModel, height: int = 384, width: int = 1248) -> l
     >>> sum(block.parameters for block in blocks)
     2721993
     """
+    # slow to import, and few need it
+    from torch.utils.flop_counter import FlopCounterMode
+
     choices: dict[str, Any] = dict(model.config)
     # on the meta device shapes are worked out without data
     twin = copy.deepcopy(model).to("meta").eval()

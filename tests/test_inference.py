@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from stereokit import ConfigError, InputError, StereoOutput, build_model
 from stereokit.data import read_disparity, read_image
 from stereokit.errors import CheckpointError
-from stereokit.inference import DisparityResult, Predictor, choose_device, output_paths
+from stereokit.inference import LARGE, DisparityResult, Predictor, choose_device, output_paths
 from stereokit.memory import estimate_memory
 from tests.shared import SHARED, needs_shared
 
@@ -53,6 +53,17 @@ def test_a_network_of_ones_own_needs_no_confidence() -> None:
     result = Predictor(ColumnNet(), "cpu")(np.full((40, 50), 0.5, np.float32), np.zeros((40, 50), np.float32))
     np.testing.assert_allclose(result.disparity, 50)
     assert result.confidence is None
+
+
+def test_a_large_pair_runs_where_its_memory_can_not_be_estimated_unless_a_limit_was_given() -> None:
+    class ReadsValues(ColumnNet):
+        def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
+            return super().forward(left if float(left.sum()) > 0 else right, right)
+
+    left, right = np.full((2, LARGE // 800 + 1, 800), 0.5, np.float32)
+    np.testing.assert_allclose(Predictor(ReadsValues(), "cpu")(left, right).disparity, 50)
+    with pytest.raises(ConfigError, match="memory that ReadsValues needs can't be found out"):
+        Predictor(ReadsValues(), "cpu", max_memory="1TB")(left, right)
 
 
 def test_it_reads_a_saved_network(tmp_path: Path, coex: Predictor) -> None:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator
 from itertools import chain
-from typing import Any, cast, get_args
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from stereokit.backends.estimate import Estimate
 from stereokit.errors import ConfigError
 from stereokit.model import StereoOutput
-from stereokit.optimize import Precision, PreparedNetwork, prepare_for_inference
+from stereokit.optimize import PreparedNetwork, prepare_for_inference
+from stereokit.precision import DTYPES
 
 __all__ = ["TorchBackend"]
 
@@ -40,10 +41,8 @@ class TorchBackend:
 
     def __init__(self, network: nn.Module, device: torch.device, precision: str | None = None) -> None:
         self.precision = precision or "float32"
-        if self.precision not in get_args(Precision):
-            raise ConfigError(
-                f"backend {self.name!r} computes in {', '.join(get_args(Precision))}; got precision={precision!r}"
-            )
+        if self.precision not in DTYPES:
+            raise ConfigError(f"backend {self.name!r} computes in {', '.join(DTYPES)}; got precision={precision!r}")
         self.device = device
         self.network = network.to(device).eval()
         self._ready: nn.Module | None = None
@@ -56,9 +55,7 @@ class TorchBackend:
         if self._ready is not None and made_from == self._made_from:
             return 0.0
         images = left[:1].to(self.device), right[:1].to(self.device)
-        self._ready = self.make_ready(
-            prepare_for_inference(self.network, precision=cast(Precision, self.precision), example=images)
-        )
+        self._ready = self.make_ready(prepare_for_inference(self.network, precision=self.precision, example=images))
         self._made_from = made_from
         return time.perf_counter() - start
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import torch
 
-from stereokit.benchmark.precision import DTYPES
 from stereokit.clock import Clock, synchronised_clock
+from stereokit.precision import DTYPES
 
 __all__ = ["Budget", "measure_budget"]
 
@@ -51,7 +51,7 @@ def measure_budget(
 
     Args:
         device: to be measured.
-        precisions: of `stereokit.benchmark.precision.DTYPES`; one that the device lacks is left out.
+        precisions: of `stereokit.precision.DTYPES`; one that the device lacks is left out.
         clock: waits for the device.
     """
     device = torch.device(device)

@@ -5,19 +5,19 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
 from stereokit.backends import open_backend
-from stereokit.benchmark.precision import dtype_of
 from stereokit.builder import build_model
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.export import export_onnx, export_openvino
 from stereokit.model import StereoModel
-from stereokit.optimize import Precision, prepare_for_inference
+from stereokit.optimize import prepare_for_inference
+from stereokit.precision import dtype_of
 from stereokit.published import NETWORKS, load_published
 from stereokit.registry import list_models, suggest
 from stereokit.weights import list_weights, load_weights
@@ -84,8 +84,7 @@ def eager(network: nn.Module, candidate: Candidate, device: torch.device) -> Rea
 
 def prepared(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
     """The network made ready for inference, operation by operation: what `Predictor` runs."""
-    dtype_of(candidate.precision)
-    ready: Ready = prepare_for_inference(network.to(device), precision=cast(Precision, candidate.precision))
+    ready: Ready = prepare_for_inference(network.to(device), precision=candidate.precision)
     return ready
 
 

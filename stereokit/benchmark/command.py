@@ -12,7 +12,6 @@ import torch
 from tqdm import tqdm
 
 from stereokit.benchmark.candidates import BACKENDS, Candidate, rival_source, source_of
-from stereokit.benchmark.precision import DTYPES
 from stereokit.benchmark.report import Benchmark, check_plot
 from stereokit.benchmark.run import run_benchmark
 from stereokit.data.atomic import check_free
@@ -20,6 +19,7 @@ from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.inference import choose_device
 from stereokit.model import MIN_SIZE
+from stereokit.precision import DTYPES
 from stereokit.registry import list_models, suggest
 
 __all__ = ["add_arguments", "run"]

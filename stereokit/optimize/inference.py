@@ -3,7 +3,7 @@
 import copy
 import warnings
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -11,10 +11,9 @@ from torch import Tensor, nn
 from stereokit.errors import ConfigError
 from stereokit.optimize.convolution import FusedConvolution, cpu_has
 from stereokit.optimize.fusion import Chain, find_chains, fuse
+from stereokit.precision import dtype_of
 
-__all__ = ["Precision", "PreparedNetwork", "prepare_for_inference"]
-
-Precision = Literal["float32", "bfloat16", "float16"]
+__all__ = ["PreparedNetwork", "prepare_for_inference"]
 
 EXAMPLE_SIZE = (256, 512)
 
@@ -24,12 +23,12 @@ class PreparedNetwork(nn.Module):
 
     Args:
         network: in eval mode.
-        precision: of its convolutions.
+        precision: of its convolutions: "float32", "bfloat16" or "float16".
 
     Shape: as the network.
     """
 
-    def __init__(self, network: nn.Module, precision: Precision) -> None:
+    def __init__(self, network: nn.Module, precision: str) -> None:
         super().__init__()
         self.network = network
         self.precision = precision
@@ -39,7 +38,7 @@ class PreparedNetwork(nn.Module):
         if self.precision == "float32":
             return self.network(left, right, **options)
         # for what was not fused, and keeps its weights in single precision
-        with torch.autocast(left.device.type, getattr(torch, self.precision)):
+        with torch.autocast(left.device.type, dtype_of(self.precision)):
             return self.network(left, right, **options)
 
     def train(self, mode: bool = True) -> "PreparedNetwork":
@@ -56,7 +55,7 @@ class PreparedNetwork(nn.Module):
 def prepare_for_inference(
     model: nn.Module,
     *,
-    precision: Precision = "float32",
+    precision: str = "float32",
     example: tuple[Tensor, Tensor] | None = None,
 ) -> PreparedNetwork:
     """A copy of a network that gives the same disparities faster; the network itself is not changed.
@@ -70,7 +69,8 @@ def prepare_for_inference(
 
     Args:
         model: any ``forward(left, right)``, on the device that it will run on.
-        precision: of the convolutions. In half precision, disparities, norms and softmaxes stay in single precision.
+        precision: of the convolutions: "float32", "bfloat16" or "float16". In half precision, disparities,
+            norms and softmaxes stay in single precision.
         example: images for the forward pass that is watched, by default (1, 3, 256, 512) without content.
 
     Raises:
@@ -90,15 +90,13 @@ def prepare_for_inference(
     >>> bool(error.median() < 1e-3)
     True
     """
-    if precision not in get_args(Precision):
-        raise ConfigError(f"precision={precision!r} is unknown; {', '.join(get_args(Precision))} would do")
+    dtype = dtype_of(precision)
     if isinstance(model, PreparedNetwork):
         raise ConfigError("the network is prepared already; prepare the original")
     network = copy.deepcopy(model).requires_grad_(False).eval()
     fuse(network, chains_of(network, example))
     if precision != "float32":
         tensors = [*network.parameters(), *network.buffers()]
-        dtype = getattr(torch, precision)
         if all(tensor.device.type == "cpu" for tensor in tensors) and not cpu_has(dtype):
             warnings.warn(f"this CPU has no instructions for {precision}: float32 is faster here", stacklevel=2)
         for module in network.modules():

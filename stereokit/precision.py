@@ -3,7 +3,6 @@
 import torch
 
 from stereokit.errors import ConfigError
-from stereokit.registry import suggest
 
 __all__ = ["DTYPES", "dtype_of"]
 
@@ -20,5 +19,5 @@ def dtype_of(precision: str) -> torch.dtype:
     torch.bfloat16
     """
     if precision not in DTYPES:
-        raise ConfigError(f"unknown precision {precision!r}; {suggest(precision, list(DTYPES))}")
+        raise ConfigError(f"precision={precision!r} is unknown; {', '.join(DTYPES)} would do")
     return DTYPES[precision]
