@@ -49,7 +49,7 @@ class Tie(nn.Module):
 
     def __init__(self, k: int) -> None:
         super().__init__()
-        self.k = k
+        self.k = self.min_levels = k
 
     def forward(self, logits: Tensor) -> Tensor:
         """(B, D, H, W) to (B, H, W)."""
