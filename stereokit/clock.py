@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-__all__ = ["Clock", "Timing", "synchronise", "synchronised_clock", "time_interleaved"]
+__all__ = ["Clock", "Timing", "synchronise", "synchronised_clock", "time_interleaved", "without_traceback"]
 
 Clock = Callable[[], float]
 """Seconds since some moment."""
@@ -31,6 +31,12 @@ def synchronised_clock() -> float:
     """
     synchronise()
     return time.perf_counter()
+
+
+def without_traceback(error: Exception) -> Exception:
+    """The error alone: its traceback would keep alive what the failing functions held, such as images on a GPU."""
+    error.__context__ = error.__cause__ = None
+    return error.with_traceback(None)
 
 
 @dataclass(frozen=True)
@@ -96,5 +102,5 @@ def time_interleaved(
                 seconds[key].append(clock() - start)
             except Exception as error:
                 # one job that runs out of memory is no reason to lose the others
-                failures[key] = error
+                failures[key] = without_traceback(error)
     return {key: failures[key] if key in failures else Timing(tuple(seconds[key])) for key in jobs}

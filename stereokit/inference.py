@@ -20,7 +20,7 @@ from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.inputs import ImageLike, to_pair
-from stereokit.memory import MemorySize
+from stereokit.memory import MemorySize, running_out_as
 from stereokit.model import StereoModel, StereoOutput, check_least_size
 from stereokit.registry import MODELS, WEIGHTS
 from stereokit.tiling import BoundedMatcher, MemoryPlan, TooLarge
@@ -174,6 +174,7 @@ class Predictor:
         self.backend = open_backend(model, device, backend, precision)
         self._limits: dict[str, Any] = {"max_memory": max_memory, "too_large": too_large}
         self._measurable = True
+        self._preparation_seconds = 0.0
         self._bounded: BoundedMatcher | None = None
         if isinstance(self.backend, TorchBackend) or self._limits != NO_LIMITS:
             self._bounded = self._matcher()
@@ -207,18 +208,21 @@ class Predictor:
         left, right = to_pair(left, right)
         height, width = left.shape[-2:]
         check_least_size(height, width)
-        if (cut := self._cut(height, width)) is not None:
-            bounded, plan = cut
-            start = time.perf_counter()
-            output = bounded.match(left, right, plan)
-            confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
-            return DisparityResult(output.disparity[0].cpu().numpy(), confidence, time.perf_counter() - start)
-        preparation_seconds = self.backend.prepare(left, right)
+        self._preparation_seconds = 0.0
+        cut = self._cut(height, width)
         start = time.perf_counter()
-        estimate = self.backend(left, right)
-        seconds = time.perf_counter() - start
-        confidence = None if estimate.confidence is None else estimate.confidence[0]
-        return DisparityResult(estimate.disparity[0], confidence, seconds, preparation_seconds)
+        if cut is not None:
+            bounded, plan = cut
+            output = bounded.match(left, right, plan)
+        else:
+            with running_out_as(
+                f"a pair of {width} x {height} pixels does not fit into the memory of {self.device}; "
+                "too_large='tile' or 'reduce' with a max_memory would do"
+            ):
+                output = self._run(left, right)
+        seconds = time.perf_counter() - start - self._preparation_seconds
+        confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
+        return DisparityResult(output.disparity[0].cpu().numpy(), confidence, seconds, self._preparation_seconds)
 
     def _cut(self, height: int, width: int) -> tuple[BoundedMatcher, MemoryPlan] | None:
         """What matches pairs of this size in less memory than the whole takes, and how; None where the whole fits."""
@@ -245,7 +249,8 @@ class Predictor:
         return BoundedMatcher(self.model, run=self._run, **self._limits)
 
     def _run(self, left: Tensor, right: Tensor) -> StereoOutput:
-        """The backend, as a part of a pair is matched."""
+        """The backend; what it does once is timed apart."""
+        self._preparation_seconds += self.backend.prepare(left, right)
         disparity, confidence = self.backend(left, right)
         return StereoOutput(
             torch.from_numpy(disparity), confidence=None if confidence is None else torch.from_numpy(confidence)

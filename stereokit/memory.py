@@ -1,9 +1,12 @@
 """How much memory a pass through a network takes, and how much there is."""
 
+import ctypes
 import os
 import re
+import sys
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,9 +16,17 @@ from torch.func import functional_call
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from stereokit.errors import ConfigError
+from stereokit.errors import ConfigError, InputError
 
-__all__ = ["MemorySize", "available_memory", "estimate_memory", "format_memory", "parse_memory"]
+__all__ = [
+    "MemorySize",
+    "available_memory",
+    "estimate_memory",
+    "format_memory",
+    "hand_back_memory",
+    "parse_memory",
+    "running_out_as",
+]
 
 MemorySize: TypeAlias = int | str
 """Bytes, or a text such as "4GiB", "500 MB" or "1.5G"."""
@@ -131,7 +142,8 @@ def available_memory(device: str | torch.device = "cpu") -> int | None:
     """The free memory of a device in bytes; None where the system does not tell.
 
     Of a GPU what the driver calls free and what torch holds unused. Of the CPU what Linux calls available, within the
-    limit of the container; on other systems all the memory that is built in.
+    limit of the container; on other systems all the memory that is built in. What this process keeps of freed tensors
+    counts as taken, see `hand_back_memory`.
 
     >>> available = available_memory("cpu")
     >>> available is None or available > 0
@@ -161,10 +173,47 @@ def _linux_available(path: Path = Path("/proc/meminfo")) -> int | None:
 def _container_available(folder: Path = Path("/sys/fs/cgroup")) -> int | None:
     """What a limit of control groups, version 2, leaves."""
     try:
-        limit, used = ((folder / name).read_text().strip() for name in ("memory.max", "memory.current"))
+        limit, used, parts = ((folder / f"memory.{name}").read_text().strip() for name in ("max", "current", "stat"))
     except OSError:
         return None
-    return None if limit == "max" else max(0, int(limit) - int(used))
+    if limit == "max":
+        return None
+    # pages of files that the kernel drops when memory is asked for
+    droppable = re.search(r"^inactive_file (\d+)$", parts, re.MULTILINE)
+    return max(0, int(limit) - int(used) + (int(droppable[1]) if droppable else 0))
+
+
+def hand_back_memory() -> None:
+    """Gives the system back what the C library keeps of freed tensors, see `stereokit.optimize.keep_freed_memory`.
+
+    Does nothing but on Linux with the GNU C library.
+
+    Source: malloc_trim(3).
+
+    >>> hand_back_memory()
+    """
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
+
+
+@contextmanager
+def running_out_as(message: str) -> Iterator[None]:
+    """Turns an allocation that fails in its block, on any device, into an `InputError`.
+
+    >>> with running_out_as("too large"):
+    ...     torch.empty(2**55)
+    Traceback (most recent call last):
+    stereokit.errors.InputError: too large
+    """
+    try:
+        yield
+    except (RuntimeError, MemoryError) as error:
+        # a failure of the CPU's allocator has no class of its own
+        if isinstance(error, torch.OutOfMemoryError | MemoryError) or "can't allocate memory" in str(error):
+            raise InputError(message) from error
+        raise
 
 
 def parse_memory(size: MemorySize) -> int:

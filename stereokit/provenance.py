@@ -17,7 +17,21 @@ from stereokit.errors import InputError
 
 __all__ = ["commit", "file_sha256", "machine", "state_sha256", "versions"]
 
-PACKAGES = ("torch", "numpy", "opencv-python-headless", "opencv-python", "timm", "einops", "safetensors")
+PACKAGES = (
+    "torch",
+    "numpy",
+    "opencv-python-headless",
+    "opencv-python",
+    "timm",
+    "einops",
+    "safetensors",
+    "onnx",
+    "onnxscript",
+    "onnxruntime",
+    "onnxruntime-gpu",
+    "openvino",
+    "nncf",
+)
 
 
 def file_sha256(path: str | os.PathLike[str]) -> str:

@@ -11,7 +11,15 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.errors import ConfigError, InputError
-from stereokit.memory import MemorySize, available_memory, estimate_memory, format_memory, parse_memory
+from stereokit.memory import (
+    MemorySize,
+    available_memory,
+    estimate_memory,
+    format_memory,
+    hand_back_memory,
+    parse_memory,
+    running_out_as,
+)
 from stereokit.model import MIN_SIZE, StereoOutput
 
 __all__ = ["BoundedMatcher", "MemoryPlan", "Run", "TooLarge", "match_reduced", "match_tiles", "tile_grid"]
@@ -272,7 +280,10 @@ class BoundedMatcher:
             InputError: it takes more memory than was estimated.
         """
         height, width = left.shape[-2:]
-        try:
+        with running_out_as(
+            f"a pair of {width} x {height} pixels took more memory of {self.device or left.device} than was estimated; "
+            "a smaller max_memory with 'tile' or 'reduce' would do"
+        ):
             if plan.how == "tile" and plan.tile is not None:
                 return match_tiles(
                     self._on_device,
@@ -286,11 +297,6 @@ class BoundedMatcher:
             if plan.how == "reduce" and plan.scale is not None:
                 return match_reduced(self._on_device, left, right, scale=plan.scale)
             return self._on_device(left, right)
-        except torch.OutOfMemoryError as error:
-            raise InputError(
-                f"a pair of {width} x {height} pixels took more memory of {self.device} than was estimated; "
-                "a smaller max_memory with 'tile' or 'reduce' would do"
-            ) from error
 
     def plan(self, height: int, width: int) -> MemoryPlan:
         """How a pair of this size is matched.
@@ -305,6 +311,10 @@ class BoundedMatcher:
         if (bound := min(larger, default=None)) is not None and bound <= allowed:
             return MemoryPlan("whole", bound, allowed)
         needed = self._needed(height, width)
+        if needed > allowed and self.max_memory is None:
+            # what this process keeps of freed tensors counts as taken
+            hand_back_memory()
+            allowed = available_memory(self.device or "cpu") or allowed
         if needed <= allowed:
             return MemoryPlan("whole", needed, allowed)
         # what was not asked for is looked for too where it can be offered

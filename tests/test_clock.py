@@ -66,6 +66,8 @@ def test_a_job_that_fails_does_not_take_the_others_with_it() -> None:
 
     timings = time_interleaved({"bad": fails_in_the_third_round, "good": clock.job(1)}, repeats=5, clock=clock)
     assert isinstance(timings["bad"], MemoryError)
+    # it would keep alive what the job held
+    assert timings["bad"].__traceback__ is None
     assert timings["good"] == Timing((1.0,) * 5)
     assert len(calls) == 3
 

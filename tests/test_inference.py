@@ -66,6 +66,29 @@ def test_a_large_pair_runs_where_its_memory_can_not_be_estimated_unless_a_limit_
         Predictor(ReadsValues(), "cpu", max_memory="1TB")(left, right)
 
 
+@pytest.mark.parametrize("error", [torch.OutOfMemoryError("full"), RuntimeError("x: can't allocate memory: 9")])
+@pytest.mark.parametrize("limits", [{}, {"max_memory": "100GB"}])
+def test_memory_that_runs_out_is_one_line(error: RuntimeError, limits: dict[str, str]) -> None:
+    class Greedy(ColumnNet):
+        def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
+            if left.device.type == "cpu" and type(left) is Tensor:
+                raise error
+            return super().forward(left, right)
+
+    left, right = np.zeros((2, 40, 50), np.float32)
+    with pytest.raises(InputError, match="50 x 40 pixels does not fit into the memory of cpu"):
+        Predictor(Greedy(), "cpu", **limits)(left, right)
+
+
+def test_what_is_prepared_once_is_timed_apart_from_tiles_too() -> None:
+    model = build_model("coex", max_disparity=32).eval()
+    left, right = np.random.default_rng(0).random((2, 128, 512, 3))
+    predict = Predictor(model, "cpu", max_memory=int(0.8 * estimate_memory(model, 128, 512)), too_large="tile")
+    first, again = predict(left, right), predict(left, right)
+    assert first.preparation_seconds > 0 == again.preparation_seconds
+    assert min(first.seconds, again.seconds) > 0
+
+
 def test_it_reads_a_saved_network(tmp_path: Path, coex: Predictor) -> None:
     coex.model.save_pretrained(tmp_path)
     image = np.random.default_rng(0).random((40, 50, 3))

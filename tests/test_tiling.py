@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stereokit import ConfigError, InputError, StereoOutput
-from stereokit.tiling import BoundedMatcher, _weights, match_reduced, match_tiles, tile_grid
+from stereokit import ConfigError, InputError, StereoOutput, tiling
+from stereokit.tiling import BoundedMatcher, MemoryPlan, _weights, match_reduced, match_tiles, tile_grid
 from tests.shared import SHARED, needs_shared
 
 
@@ -220,6 +220,17 @@ def test_running_out_of_memory_all_the_same_is_one_line() -> None:
 
     with pytest.raises(InputError, match="more memory"):
         BoundedMatcher(Small(), run=full, max_memory="1GB", estimate=lambda h, w: 1)(*PAIR)
+
+
+def test_what_the_process_keeps_of_freed_tensors_is_handed_back_where_it_is_needed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    free = [10_000_000]
+    monkeypatch.setattr(tiling, "available_memory", lambda device: free[0])
+    monkeypatch.setattr(tiling, "hand_back_memory", lambda: free.append(free.pop() + 60_000_000))
+    matcher = BoundedMatcher(Small(), estimate=lambda height, width: 1000 * height * width)
+    assert matcher.plan(100, 90) == MemoryPlan("whole", 9_000_000, 10_000_000)
+    assert matcher.plan(160, 400) == MemoryPlan("whole", 64_000_000, 70_000_000)
 
 
 def test_what_is_asked_for_is_checked() -> None:

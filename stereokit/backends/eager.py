@@ -1,8 +1,6 @@
 """PyTorch, operation by operation."""
 
 import time
-from collections.abc import Iterator
-from itertools import chain
 from typing import Any
 
 import torch
@@ -12,6 +10,7 @@ from stereokit.backends.estimate import Estimate
 from stereokit.errors import ConfigError
 from stereokit.model import StereoOutput
 from stereokit.optimize import PreparedNetwork, prepare_for_inference
+from stereokit.optimize.inference import EXAMPLE_SIZE
 from stereokit.precision import DTYPES
 
 __all__ = ["TorchBackend"]
@@ -20,7 +19,8 @@ __all__ = ["TorchBackend"]
 class TorchBackend:
     """A network in eager PyTorch, made ready for inference at the first pair, see `prepare_for_inference`.
 
-    What runs is a prepared copy. It is made anew when the weights of the network have changed.
+    What runs is a prepared copy. `prepare` makes it anew when the weights of the network have changed, other than
+    through `Tensor.data`, which leaves no trace.
 
     Args:
         network: any module with `forward(left, right) -> StereoOutput`; it is moved to the device and put into eval
@@ -46,17 +46,21 @@ class TorchBackend:
         self.device = device
         self.network = network.to(device).eval()
         self._ready: nn.Module | None = None
-        self._made_from: tuple[Any, ...] = ()
+        self._parts: list[dict[str, Any]] = []
+        self._made_from: list[tuple[int, ...]] = []
 
     def prepare(self, left: Tensor, right: Tensor) -> float:
         """Prepares the network, where it is new or its weights have changed."""
         start = time.perf_counter()
-        made_from = tuple(_versions(self.network))
-        if self._ready is not None and made_from == self._made_from:
+        if self._ready is not None and _state(self._parts) == self._made_from:
             return 0.0
-        images = left[:1].to(self.device), right[:1].to(self.device)
-        self._ready = self.make_ready(prepare_for_inference(self.network, precision=self.precision, example=images))
-        self._made_from = made_from
+        height, width = EXAMPLE_SIZE
+        example = [images[:1, :, :height, :width].to(self.device) for images in (left, right)]
+        self._ready = self.make_ready(
+            prepare_for_inference(self.network, precision=self.precision, example=(example[0], example[1]))
+        )
+        self._parts = _parts(self.network)
+        self._made_from = _state(self._parts)
         return time.perf_counter() - start
 
     def make_ready(self, network: PreparedNetwork) -> nn.Module:
@@ -65,7 +69,8 @@ class TorchBackend:
 
     def __call__(self, left: Tensor, right: Tensor) -> Estimate:
         """Images (B, 3, H, W) to disparity and confidence (B, H, W)."""
-        self.prepare(left, right)
+        if self._ready is None:
+            self.prepare(left, right)
         assert self._ready is not None
         with torch.inference_mode():
             output: StereoOutput = self._ready(left.to(self.device), right.to(self.device))
@@ -84,8 +89,18 @@ class TorchBackend:
         return parts
 
 
-def _versions(network: nn.Module) -> Iterator[tuple[int, int]]:
-    """Where each tensor of a network lies, and how often it was written to."""
-    for tensor in chain(network.parameters(), network.buffers()):
-        # tensors made in inference mode are not counted
-        yield tensor.data_ptr(), 0 if tensor.is_inference() else tensor._version
+def _parts(network: nn.Module) -> list[dict[str, Any]]:
+    """Where the modules of a network keep what they hold; a walk at each pair would take longer."""
+    return [held for module in network.modules() for held in (module._parameters, module._buffers, module._modules)]
+
+
+def _state(parts: list[dict[str, Any]]) -> list[tuple[int, ...]]:
+    """What each part is, and for a tensor where it lies and how often it was written to."""
+    return [
+        # writes to tensors made in inference mode are not counted
+        (id(held), held.data_ptr(), 0 if held.is_inference() else held._version)
+        if isinstance(held, Tensor)
+        else (id(held),)
+        for part in parts
+        for held in part.values()
+    ]

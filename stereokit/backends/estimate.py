@@ -41,10 +41,13 @@ class Backend(Protocol):
     """Of the arithmetic: "float32", "bfloat16", "float16", or "int8" for a quantised file."""
 
     def prepare(self, left: Tensor, right: Tensor) -> float:
-        """Does once what images of a new size and type need, such as compiling, and says how many seconds it took."""
+        """Does once what new weights, or images of a new size or type, need, such as compiling; the seconds it took."""
 
     def __call__(self, left: Tensor, right: Tensor) -> Estimate:
-        """Matches images (B, 3, H, W), uint8 or float32 in [0, 1]; when it returns, the work is done."""
+        """Matches images (B, 3, H, W), uint8 or float32 in [0, 1]; when it returns, the work is done.
+
+        It runs what was prepared last; the first time it prepares by itself.
+        """
 
     def describe(self) -> dict[str, Any]:
         """What it runs, in plain JSON."""

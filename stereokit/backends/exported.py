@@ -74,7 +74,10 @@ class ExportedBackend(ABC):
                 f"pairs can't be held to limits of memory with {self.path!r}, which {reason}; "
                 "a file of a registered network, exported without a size, would do"
             )
-        return build_model(dict(self.metadata.network)).to("cuda" if self.device.type == "cuda" else "cpu").eval()
+        # the random weights are nobody's, and so is their draw
+        with torch.random.fork_rng(devices=[]):
+            network = build_model(dict(self.metadata.network))
+        return network.to("cuda" if self.device.type == "cuda" else "cpu").eval()
 
     def estimate_memory(self, network: nn.Module, height: int, width: int) -> int:
         """The memory in bytes that a pair takes at most, from what PyTorch takes for the `network` of `as_module`."""

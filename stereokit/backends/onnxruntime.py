@@ -51,6 +51,13 @@ class OnnxRuntimeBackend(ExportedBackend):
             # ONNX Runtime has a family of its own for a file that is missing, damaged or too new
             reason = str(error).strip().splitlines()[0]
             raise CheckpointError(f"{self.path!r} can't be read by ONNX Runtime: {reason}") from error
+        # where it can't load what a device needs it goes on with the CPU, and says so in its log alone
+        if PROVIDERS[self.device.type] not in self._session.get_providers():
+            raise ConfigError(
+                f"ONNX Runtime can't use device {str(self.device)!r} here, though built for it: its libraries do "
+                "not load; device 'cpu' would do"
+            )
+        self._session.disable_fallback()
         self.metadata = ExportMetadata.read(self._session.get_modelmeta().custom_metadata_map, self.path)
         self.precision = self.metadata.precision
         if precision not in (None, self.precision):

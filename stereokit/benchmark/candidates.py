@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
 from stereokit.backends import open_backend
+from stereokit.backends.compiled import compile_network
 from stereokit.builder import build_model
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
@@ -65,8 +65,16 @@ class Candidate:
             made = self.source() if self.max_disparity is None else self.source(max_disparity=self.max_disparity)
         return made.eval() if isinstance(made, nn.Module) else made
 
+    def export(self, folder: str) -> Path | None:
+        """Writes the file that the backend runs, where it runs one.
+
+        Raises:
+            ConfigError: the backend's files can't be had, or not for this candidate.
+        """
+        return EXPORTS[self.backend](self, folder) if self.backend in EXPORTS else None
+
     def ready(self, made: Any, device: torch.device) -> Ready:
-        """What runs, from what `build` made.
+        """What runs, from what `build` or `export` made.
 
         Raises:
             ConfigError: the backend or the precision is unknown, or not to be had here.
@@ -89,40 +97,39 @@ def prepared(network: nn.Module, candidate: Candidate, device: torch.device) -> 
 
 
 def compiled(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
-    """What `prepared` makes, through `torch.compile`, for the one size and as one graph: it fails where it can't be."""
+    """What `Predictor` runs, compiled for the one size and as one graph: it fails where it can't be."""
+    fast = prepare_for_inference(network.to(device), precision=candidate.precision)
+    ready: Ready = compile_network(fast, device, dynamic=False, fullgraph=True)
     # networks share the code of their class; past the limit of versions of it, one would fail
-    torch._dynamo.config.recompile_limit = max(torch._dynamo.config.recompile_limit, 256)
-    ready: Ready = torch.compile(prepared(network, candidate, device), dynamic=False, fullgraph=True)
+    with torch._dynamo.config.patch(recompile_limit=256), torch.inference_mode():
+        ready(*image_pair(candidate, device))
     return ready
 
 
-def onnxruntime(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
-    """The network as an ONNX file for the one size, in ONNX Runtime."""
-    return _exported(network, candidate, device, "onnx")
+def exported(path: Path, candidate: Candidate, device: torch.device) -> Ready:
+    """An exported file in the runtime that reads it."""
+    backend = open_backend(path, device)
+    if backend.precision != candidate.precision:
+        raise ConfigError(f"{candidate.backend} computes in {backend.precision} here, not in {candidate.precision}")
+    return backend
 
 
-def openvino(network: nn.Module, candidate: Candidate, device: torch.device) -> Ready:
-    """The network as an OpenVINO file for the one size."""
-    return _exported(network, candidate, device, "openvino")
+def _to_onnx(candidate: Candidate, folder: str) -> Path:
+    _check_batch(candidate)
+    if candidate.precision != "float32":
+        raise ConfigError(f"ONNX files compute in float32; got {candidate.precision}")
+    return export_onnx(candidate.build(), f"{folder}/network.onnx", size=(candidate.height, candidate.width)).path
 
 
-def _exported(network: nn.Module, candidate: Candidate, device: torch.device, to: str) -> Ready:
+def _to_openvino(candidate: Candidate, folder: str) -> Path:
+    _check_batch(candidate)
+    size = (candidate.height, candidate.width)
+    return export_openvino(candidate.build(), f"{folder}/network.xml", size=size, precision=candidate.precision).path
+
+
+def _check_batch(candidate: Candidate) -> None:
     if candidate.batch != 1:
         raise ConfigError(f"exported files take one pair at a time; got a batch of {candidate.batch}")
-    size = candidate.height, candidate.width
-    folder = TemporaryDirectory()
-    if to == "onnx":
-        if candidate.precision != "float32":
-            raise ConfigError(f"ONNX files compute in float32; got {candidate.precision}")
-        path = export_onnx(network, f"{folder.name}/network.onnx", size=size).path
-    else:
-        path = export_openvino(network, f"{folder.name}/network.xml", size=size, precision=candidate.precision).path
-    backend = open_backend(path, device)
-
-    def match(left: Tensor, right: Tensor, _kept: object = folder) -> object:
-        return backend(left, right)
-
-    return match
 
 
 def opencv(matcher: Any, candidate: Candidate, device: torch.device) -> Ready:
@@ -139,12 +146,15 @@ BACKENDS: Mapping[str, Callable[[Any, Candidate, torch.device], Ready]] = {
     "torch": prepared,
     "eager": eager,
     "compile": compiled,
-    "onnxruntime": onnxruntime,
-    "openvino": openvino,
+    "onnxruntime": exported,
+    "openvino": exported,
     "opencv": opencv,
 }
 """What runs a candidate: a function from what its source made, itself and the device to what is timed. To know a
 further backend takes a further entry; one that is not installed raises `ConfigError` here, and its row says so."""
+
+EXPORTS: Mapping[str, Callable[[Candidate, str], Path]] = {"onnxruntime": _to_onnx, "openvino": _to_openvino}
+"""What writes the file, for the one size, that a backend runs in place of the network."""
 
 
 def source_of(model: str) -> Source:

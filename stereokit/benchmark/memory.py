@@ -1,11 +1,11 @@
 """Peak memory of what runs in this process."""
 
-import ctypes
 import gc
-import sys
 from pathlib import Path
 
 import torch
+
+from stereokit.memory import hand_back_memory
 
 __all__ = ["PeakMemory"]
 
@@ -37,7 +37,7 @@ class PeakMemory:
             torch.cuda.reset_peak_memory_stats(self.device)
             self._start = torch.cuda.memory_allocated(self.device)
         elif self.device.type == "cpu":
-            _hand_back()
+            hand_back_memory()
             self.restart()
             self._start = _status("VmRSS") or 0
 
@@ -61,14 +61,6 @@ class PeakMemory:
         if self.device.type != "cpu" or not self._known or (peak := _status("VmHWM")) is None:
             return None
         return max(0, peak - self._start)
-
-
-def _hand_back() -> None:
-    """Free memory that the C library keeps would hide what is taken next."""
-    if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(0)
 
 
 def _status(key: str) -> int | None:

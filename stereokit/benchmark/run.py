@@ -2,8 +2,10 @@
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -15,9 +17,9 @@ from stereokit.benchmark.candidates import Candidate, image_pair
 from stereokit.benchmark.memory import PeakMemory
 from stereokit.benchmark.report import Benchmark, Row
 from stereokit.benchmark.stages import StageClock
-from stereokit.clock import Clock, Timing, synchronised_clock, time_interleaved
+from stereokit.clock import Clock, Timing, synchronised_clock, time_interleaved, without_traceback
 from stereokit.errors import ConfigError, InputError
-from stereokit.memory import available_memory, estimate_memory, format_memory
+from stereokit.memory import available_memory, estimate_memory, format_memory, hand_back_memory
 from stereokit.model import StereoModel
 from stereokit.optimize import PreparedNetwork
 from stereokit.provenance import machine, versions
@@ -88,16 +90,20 @@ def run_benchmark(
     device = torch.device(device)
     started, load = datetime.now(timezone.utc).isoformat(timespec="seconds"), [_load()]
     precisions = list(dict.fromkeys(candidate.precision for candidate in candidates if candidate.backend != "opencv"))
-    limits = measure_budget(device, precisions, clock=clock) if budget else None
     prepared: dict[int, _Prepared] = {}
     failures: dict[int, Exception] = {}
-    with torch.inference_mode():
+    with torch.inference_mode(), ExitStack() as stack:
+        if device.type != "cpu" and device.index is not None:
+            # clocks wait for the current one
+            stack.enter_context(torch.accelerator.device_index(device.index))
+        limits = measure_budget(device, precisions, clock=clock) if budget else None
         for index, candidate in enumerate(progress(candidates)):
+            folder = stack.enter_context(TemporaryDirectory(prefix="stereokit-"))
             try:
-                prepared[index] = _prepare(candidate, device, warmup, clock)
+                prepared[index] = _prepare(candidate, device, warmup, clock, folder)
             except Exception as error:
                 # a network, a compiler or a driver of anybody's
-                failures[index] = error
+                failures[index] = without_traceback(error)
         jobs = {index: ready.run for index, ready in prepared.items()}
         timings = time_interleaved(jobs, repeats=repeats, seed=seed, clock=clock, progress=progress)
         failures |= {index: timing for index, timing in timings.items() if isinstance(timing, Exception)}
@@ -125,28 +131,34 @@ def run_benchmark(
     )
 
 
-def _prepare(candidate: Candidate, device: torch.device, warmup: int, clock: Clock) -> _Prepared:
+def _prepare(candidate: Candidate, device: torch.device, warmup: int, clock: Clock, folder: str) -> _Prepared:
     network = candidate.build()
     parameters = multiply_adds = None
     if isinstance(network, nn.Module):
         parameters = sum(p.numel() for p in network.parameters())
         _check_memory(network.to(device), candidate, device)
     if isinstance(network, StereoModel):
-        blocks = model_summary(network, candidate.height, candidate.width)
-        multiply_adds = candidate.batch * sum(block.multiply_adds for block in blocks)
+        # one that was composed by hand has no names for its blocks
+        with suppress(ConfigError):
+            blocks = model_summary(network, candidate.height, candidate.width)
+            multiply_adds = candidate.batch * sum(block.multiply_adds for block in blocks)
+    max_disparity = getattr(network, "max_disparity", getattr(network, "search_range", None))
     # from here on, with all imports done, the memory is the candidate's own
     del network
     images = image_pair(candidate, device)
+    start = clock()
+    # what writing a file takes is not what running it takes
+    file = candidate.export(folder)
+    seconds_to_export = clock() - start
     peak = PeakMemory(device)
     start = clock()
-    made = candidate.build()
-    ready = candidate.ready(made, device)
+    ready = candidate.ready(candidate.build() if file is None else file, device)
 
     def run() -> object:
         return ready(*images)
 
     run()
-    first_seconds = clock() - start
+    first_seconds = seconds_to_export + clock() - start
     for _ in range(warmup - 2):
         run()
     if warmup > 1:
@@ -160,12 +172,13 @@ def _prepare(candidate: Candidate, device: torch.device, warmup: int, clock: Clo
         multiply_adds=multiply_adds,
         first_seconds=first_seconds,
         peak_memory=peak.bytes(),
-        max_disparity=getattr(made, "max_disparity", getattr(made, "search_range", None)),
+        max_disparity=max_disparity,
     )
 
 
 def _check_memory(network: nn.Module, candidate: Candidate, device: torch.device) -> None:
     """The system would end the whole process where memory runs out."""
+    hand_back_memory()
     available = available_memory(device)
     try:
         needed = estimate_memory(network, candidate.height, candidate.width, batch=candidate.batch)

@@ -9,9 +9,9 @@ import torch
 
 from stereokit.backends.eager import TorchBackend
 from stereokit.data.disparity_arrays import Disparity
-from stereokit.errors import InputError
 from stereokit.inference import Predictor
 from stereokit.inputs import to_pair
+from stereokit.memory import running_out_as
 from stereokit.pretrained import WEIGHTS_NAME
 from stereokit.provenance import file_sha256, state_sha256
 from stereokit.registry import WEIGHTS
@@ -70,14 +70,13 @@ class NetworkMatcher:
         """
         pairs = [to_pair(left, right) for left, right in zip(lefts, rights, strict=True)]
         left, right = (torch.cat(views) for views in zip(*pairs, strict=True))
-        try:
+        height, width = left.shape[-2:]
+        with running_out_as(
+            f"{len(pairs)} pairs of {width} x {height} pixels at once do not fit into the memory of "
+            f"{self.predictor.device}; choose a smaller --batch, or --device cpu"
+        ):
+            self.predictor.backend.prepare(left, right)
             return list(self.predictor.backend(left, right).disparity)
-        except torch.OutOfMemoryError as error:
-            height, width = left.shape[-2:]
-            raise InputError(
-                f"{len(pairs)} pairs of {width} x {height} pixels at once do not fit into the memory of "
-                f"{self.predictor.device}; choose a smaller --batch, or --device cpu"
-            ) from error
 
     def describe(self) -> dict[str, Any]:
         """The network's configuration and weights, and what ran it, in plain JSON."""

@@ -3,10 +3,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from torch import nn
 
 from stereokit import Predictor, build_model
 from stereokit.backends.compiled import compile_cache
 from stereokit.export.checking import random_pair
+from stereokit.optimize.convolution import FusedConvolution
 from tests.export.networks import Tiny
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler")
@@ -20,6 +23,16 @@ def test_the_cache_outlives_a_run(monkeypatch):
     assert compile_cache() == Path.home() / ".cache/stereokit/inductor"
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", "/chosen")
     assert compile_cache() == Path("/chosen")
+
+
+@needs_compiler
+def test_one_channel_is_convolved_at_any_size():
+    plain = nn.Conv3d(1, 8, 3, padding=1)
+    compiled = torch.compile(FusedConvolution(plain), dynamic=True)
+    with torch.inference_mode():
+        for size in ((4, 6, 8), (3, 9, 5)):
+            x = torch.rand(1, 1, *size)
+            torch.testing.assert_close(compiled(x), plain(x))
 
 
 @needs_compiler

@@ -39,7 +39,7 @@ def test_other_precisions_are_refused():
         TorchBackend(Product(), torch.device("cpu"), "int8")
 
 
-@pytest.mark.parametrize("change", ["step", "load", "replace"])
+@pytest.mark.parametrize("change", ["step", "load", "assign", "replace", "add"])
 def test_changed_weights_are_seen(change):
     network = Product()
     backend = TorchBackend(network, torch.device("cpu"))
@@ -50,10 +50,13 @@ def test_changed_weights_are_seen(change):
     if change == "step":
         with torch.no_grad():
             network.layer.weight.add_(1)
-    elif change == "load":
-        network.load_state_dict(other.state_dict())
+    elif change in ("load", "assign"):
+        network.load_state_dict(other.state_dict(), assign=change == "assign")
+    elif change == "add":
+        network.layer.register_parameter("bias", None)
     else:
         network.layer = other.layer
+    backend.prepare(*images)
     after = backend(*images).disparity
     with torch.inference_mode():
         expected = network(*images).disparity.numpy()

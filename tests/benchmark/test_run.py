@@ -1,5 +1,6 @@
 import json
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ from torch import Tensor, nn
 from stereokit import ConfigError, InputError, StereoOutput, build_model
 from stereokit.benchmark import Candidate, run_benchmark, source_of
 from stereokit.benchmark import run as module
-from stereokit.benchmark.candidates import BACKENDS
+from stereokit.benchmark.candidates import BACKENDS, EXPORTS
 
 NOW = [0.0]
 
@@ -119,6 +120,43 @@ def test_stages_share_and_counts_of_a_network() -> None:
     record = json.loads(benchmark.to_json())
     assert {"machine", "versions", "load", "settings", "started", "command"} < set(record)
     assert record["rows"][0]["seconds"] == list(one.seconds)
+
+
+def test_a_network_composed_by_hand_is_timed_without_its_counts() -> None:
+    def composed() -> nn.Module:
+        model = build_model("coex", max_disparity=32)
+        model._config = None
+        return model
+
+    [row] = run_benchmark([Candidate("mine", composed, height=32, width=64)], repeats=1, warmup=1).rows
+    assert row.error is None
+    assert row.multiply_adds is None
+    assert row.max_disparity == 32
+
+
+@pytest.mark.parametrize("has", ["float32", "bfloat16"])
+def test_a_runtime_that_computes_in_another_precision_is_not_timed(monkeypatch: pytest.MonkeyPatch, has: str) -> None:
+    def export(candidate: Candidate, folder: str) -> Path:
+        path = Path(folder) / "network.xml"
+        path.touch()
+        return path
+
+    class Runtime:
+        precision = has
+
+        def __init__(self, path: Path, device: torch.device) -> None:
+            assert path.exists()
+
+        def __call__(self, left: Tensor, right: Tensor) -> None:
+            NOW[0] += 3
+
+    monkeypatch.setitem(EXPORTS, "openvino", export)  # type: ignore[arg-type]
+    monkeypatch.setattr("stereokit.benchmark.candidates.open_backend", Runtime)
+    [row] = run_benchmark([takes(1.0, "openvino", precision="bfloat16")], repeats=2, clock=clock).rows
+    if has == "bfloat16":
+        assert row.median_seconds == 3
+    else:
+        assert row.error == "openvino computes in float32 here, not in bfloat16"
 
 
 def test_nothing_to_time_is_an_error() -> None:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given
@@ -6,7 +8,7 @@ from torch import nn
 
 from stereokit import ConfigError, build_model
 from stereokit.backends import Estimate
-from stereokit.export.checking import check_exact, compare, random_pair
+from stereokit.export.checking import TIES, check_exact, compare, random_pair
 from stereokit.export.ties import Tie, tied_pixels
 from tests.export.networks import Tiny
 
@@ -48,7 +50,12 @@ def test_only_what_a_tie_explains_is_forgiven():
     [difference] = compare(shifted, model, [("a pair", PAIR)])
     assert difference.tied == difference.above_tolerance == 1
     assert "100 % (100 % where candidates tie)" in str(difference)
-    check_exact([difference])
+    check_exact([replace(difference, above_tolerance=TIES, tied=TIES)])
+    with pytest.raises(ConfigError, match="ties aside"):
+        check_exact([replace(difference, above_tolerance=TIES, tied=TIES / 2)])
+    # where everything ties, nothing is proved
+    with pytest.raises(ConfigError, match="ties aside"):
+        check_exact([difference])
     model = flat(top_k=8)
     with pytest.raises(ConfigError, match="100 % and 1 px"):
         check_exact(compare(shifted, model, [("a pair", PAIR)]))
