@@ -2,6 +2,8 @@
 
     python benchmarks/real_pairs.py --weights coex.synthetic_v2
     python benchmarks/real_pairs.py --weights coex.ckpt --channel-order rgb
+    python benchmarks/real_pairs.py --weights coex.synthetic_v2 --precision float32 bfloat16
+    python benchmarks/real_pairs.py --weights coex.synthetic_v2 --weights coex_int8.xml
 
 The scenes are from Middlebury, SceneFlow, ETH3D and KITTI 2012. All pixels with known ground truth count, occluded ones
 too. OpenCV's semi-global matcher with 8 and 5 paths, holes filled, stands beside the networks.
@@ -18,6 +20,7 @@ from typing import Any
 from tqdm import tqdm
 
 from stereokit import StereoKitError, StereoModel, list_weights, load_published
+from stereokit.backends import is_exported
 from stereokit.data import read_disparity
 from stereokit.data.atomic import atomic_path
 from stereokit.data.datasets import Source, StereoDataset, StereoEntry, open_dataset
@@ -44,6 +47,9 @@ def main() -> int:
     parser.add_argument("--network", default="coex", help="of published checkpoints (default: coex)")
     parser.add_argument("--channel-order", default="bgr", choices=("bgr", "rgb"), help="of published checkpoints")
     parser.add_argument("--device", default="auto")
+    parser.add_argument(
+        "--precision", nargs="+", default=["float32"], metavar="NAME", help="of networks (default: float32)"
+    )
     parser.add_argument("--json", type=Path, help="file for the numbers of the first matcher")
     options = parser.parse_args()
     try:
@@ -52,12 +58,16 @@ def main() -> int:
         for weights in options.weights:
             named = weights in list_weights()
             model: str | StereoModel = weights
-            if not named and not Path(weights).is_dir():
+            exported = is_exported(weights)
+            if not named and not exported and not Path(weights).is_dir():
                 model = load_published(weights, options.network, options.channel_order)
             stem = weights if named else Path(weights).stem
-            matchers[weights if stem in matchers else stem] = NetworkMatcher(
-                Predictor(model, options.device), weights=weights
-            )
+            for precision in [None] if exported else options.precision:
+                name = stem if precision in (None, "float32") else f"{stem}, {precision}"
+                predictor = Predictor(model, options.device, precision=precision)
+                matchers[f"{weights}, {precision}" if name in matchers else name] = NetworkMatcher(
+                    predictor, weights=weights
+                )
         matchers["SGBM, 8 paths"] = SGBM_VARIANTS["sgbm"]
         matchers["SGBM, 5 paths"] = SGBM_VARIANTS["sgbm_5paths"]
         results = {

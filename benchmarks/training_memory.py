@@ -4,13 +4,12 @@
     python benchmarks/training_memory.py --device cuda --batch 8 --size 288 576
 
 Each stands beside its plain form, which unfolds: all shifted features for the correlation, nine maps of full size for
-the upsampling. On the CPU each runs in a process of its own, whose largest size is read.
+the upsampling. Each runs in a process of its own.
 """
 
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -21,6 +20,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from stereokit.benchmark.memory import PeakMemory
+from stereokit.clock import synchronised_clock
 from stereokit.costs.shift import inner_products
 from stereokit.regression import superpixel_upsample
 
@@ -72,21 +73,12 @@ CASES = {
 }
 
 
-def peak(device: str) -> float:
-    """The most memory that was held so far, MiB."""
-    if device == "cpu":
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / MIB
-    return torch.cuda.max_memory_allocated() / MIB
-
-
 def work(options: argparse.Namespace) -> None:
     """One case in a process of its own."""
     forward = CASES[options.worker](options)
     with torch.no_grad():
         gradient = torch.rand_like(forward())
-    if options.device != "cpu":
-        torch.cuda.reset_peak_memory_stats()
-    before = peak(options.device)
+    peak = PeakMemory(options.device)
     kept = 0
     storages = set()
 
@@ -101,17 +93,15 @@ def work(options: argparse.Namespace) -> None:
     with torch.autograd.graph.saved_tensors_hooks(note, lambda tensor: tensor):
         output = forward()
     output.backward(gradient)
-    most = peak(options.device) - before
+    most = peak.bytes()
     del output
     times = []
     for _ in range(options.rounds):
-        starts = time.perf_counter(), time.process_time()
+        starts = synchronised_clock(), time.process_time()
         forward().backward(gradient)
-        if options.device != "cpu":
-            torch.cuda.synchronize()
-        times.append((time.perf_counter() - starts[0], time.process_time() - starts[1]))
+        times.append((synchronised_clock() - starts[0], time.process_time() - starts[1]))
     wall, processor = (median(column) for column in zip(*times, strict=True))
-    print(json.dumps([most, kept / MIB, wall, processor]))
+    print(json.dumps([None if most is None else most / MIB, kept / MIB, wall, processor]))
 
 
 def main() -> None:
@@ -135,7 +125,10 @@ def main() -> None:
         command = [sys.executable, *sys.argv, "--worker", case]
         result = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         most, kept, wall, processor = json.loads(result.stdout)
-        print(f"| {case} | {most:.0f} | {kept:.0f} | {wall:.3f} | {processor:.3f} |", flush=True)
+        print(
+            f"| {case} | {'-' if most is None else format(most, '.0f')} | {kept:.0f} | {wall:.3f} | {processor:.3f} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from stereokit.export import command as export_command
 from stereokit.inference import Predictor, output_paths
 from stereokit.model import MIN_SIZE, StereoModel
 from stereokit.optimize import keep_freed_memory
+from stereokit.precision import DTYPES
 from stereokit.published import NETWORKS, ConversionReport, convert_published
 from stereokit.registry import MODELS, REGISTRIES, list_components
 from stereokit.summary import model_summary
@@ -34,6 +35,7 @@ from stereokit.weights import default_weights, list_weights, load_weights, read_
 __all__ = ["main"]
 
 
+PRECISION_HELP = f"{', '.join(DTYPES)} for the arithmetic (default: float32, or that of an exported file)"
 BACKEND_HELP = f"{', '.join(BACKENDS)} (default: torch, or that of an exported file)"
 
 
@@ -95,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     predict.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
     predict.add_argument("--backend", default="auto", help=BACKEND_HELP)
+    predict.add_argument("--precision", metavar="NAME", help=PRECISION_HELP)
     predict.add_argument(
         "--max-memory", metavar="SIZE", help="that a pair may take, such as 4GiB (default: what is free)"
     )
@@ -109,6 +112,7 @@ def _parser() -> argparse.ArgumentParser:
 
     evaluation = commands.add_parser("eval", help="count errors on data sets with ground truth")
     evaluation_command.add_arguments(evaluation)
+    evaluation.add_argument("--precision", metavar="NAME", help=PRECISION_HELP)
     _add_published_options(evaluation)
     evaluation.set_defaults(run=lambda options: evaluation_command.run(options, _load_predictor))
 
@@ -216,11 +220,12 @@ def _check_data(options: argparse.Namespace) -> None:
 
 
 def _load_predictor(options: argparse.Namespace, **limits: Any) -> Predictor:
+    settings = {**limits, "precision": options.precision}
     if not is_exported(options.weights):
-        return Predictor(_load_network(options), options.device, options.backend, **limits)
+        return Predictor(_load_network(options), options.device, options.backend, **settings)
     if any(value is not None for value in (options.model, options.channel_order, options.top_k)):
         raise ConfigError("an exported file knows its network; leave out --model, --channel-order and --top-k")
-    return Predictor(options.weights, options.device, options.backend, **limits)
+    return Predictor(options.weights, options.device, options.backend, **settings)
 
 
 def _load_network(options: argparse.Namespace) -> StereoModel:
