@@ -8,12 +8,12 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.backends.estimate import Backend, Estimate
-from stereokit.errors import ConfigError
+from stereokit.errors import ConfigError, InputError
 from stereokit.export.graph import example_size
 from stereokit.export.ties import tied_pixels
 from stereokit.model import StereoOutput
 
-__all__ = ["Difference", "check_exact", "check_pairs", "compare", "random_pair"]
+__all__ = ["Difference", "Pair", "check_exact", "check_pairs", "check_size", "compare", "random_pair"]
 
 Pair = tuple[Tensor, Tensor]
 
@@ -85,6 +85,23 @@ def check_pairs(model: nn.Module, size: tuple[int, int] | None) -> list[tuple[st
     multiple = int(getattr(model, "multiple", 1))
     fitting = ((height - 1) // multiple * multiple, (width + multiple) // multiple * multiple)
     return [("random texture", random_pair(*pair)) for pair in (fitting, (height, width - multiple - 2))]
+
+
+def check_size(pairs: Iterable[Pair], size: tuple[int, int] | None, what: str) -> None:
+    """Raises `InputError` where pairs are of another size than the one that a file is for.
+
+    Args:
+        pairs: images (1, 3, H, W).
+        size: height and width; None for any.
+        what: the pairs are, for the message.
+    """
+    for left, _ in pairs:
+        given = (left.shape[-2], left.shape[-1])
+        if size is not None and given != size:
+            raise InputError(
+                f"a pair {what} is {given[1]} x {given[0]} pixels, but the export is for {size[1]} x {size[0]}; leave "
+                "out the size, or give pairs of it"
+            )
 
 
 def compare(backend: Backend, model: nn.Module, pairs: Iterable[tuple[str, Pair]]) -> list[Difference]:

@@ -18,7 +18,7 @@ __all__ = ["add_arguments", "run"]
 SUFFIXES = {"onnx": ".onnx", "openvino": ".xml", "program": ".pt2"}
 
 HELD_OUT = 4
-"""Pairs of a calibration that are kept for the comparison."""
+"""Pairs of a calibration that are kept for the comparison, where there are few a fifth."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,8 +80,9 @@ def _export(options: argparse.Namespace, network: nn.Module) -> ExportReport:
     if options.calibrate:
         found = find_pairs(options.calibrate, options.calibration_pairs + HELD_OUT, network, size)
         names = list(found)
-        if pairs is None and len(names) > HELD_OUT:
-            kept, names = names[-HELD_OUT:], names[:-HELD_OUT]
+        held_out = min(HELD_OUT, max(len(names) - options.calibration_pairs, len(names) // 5))
+        if pairs is None and held_out:
+            kept, names = names[-held_out:], names[:-held_out]
             pairs = {name: found[name] for name in kept}
         calibration = [found[name] for name in names[: options.calibration_pairs]]
     return export_openvino(

@@ -12,7 +12,7 @@ from stereokit.backends.onnxruntime import OnnxRuntimeBackend
 from stereokit.backends.optional import import_optional
 from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError
-from stereokit.export.checking import Pair, check_exact, check_pairs, compare
+from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
 from stereokit.export.graph import ExportGraph, naming_block, trace
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
@@ -59,6 +59,9 @@ def export_onnx(
     target = check_target(path, ".onnx", overwrite=overwrite)
     if opset not in OPSETS:
         raise ConfigError(f"opset {opset} can't be written; {OPSETS[0]} to {OPSETS[-1]} would do")
+    check_size((pairs or {}).values(), size, "to compare on")
+    check_onnx()
+    import_optional("onnxruntime", "the check of an ONNX file")
     with on_cpu(model) as network:
         proto = to_onnx(network, size, opset)
         with atomic_path(target, overwrite=overwrite) as temporary:
@@ -70,10 +73,14 @@ def export_onnx(
     return ExportReport(target, backend.metadata, tuple(differences), backend.precision)
 
 
-def to_onnx(model: nn.Module, size: tuple[int, int] | None, opset: int) -> Any:
-    """A network in eval mode as an `onnx.ModelProto`."""
+def check_onnx() -> None:
+    """Raises `ConfigError` where a package is missing that writes ONNX, before the work begins."""
     for package in ("onnx", "onnxscript"):
         import_optional(package, "export to ONNX")
+
+
+def to_onnx(model: nn.Module, size: tuple[int, int] | None, opset: int) -> Any:
+    """A network in eval mode as an `onnx.ModelProto`."""
     program = trace(model, size)
     names = OUTPUTS[: len(program.graph_signature.user_outputs)]
     with naming_block(ExportGraph(model)), torch.no_grad():

@@ -14,9 +14,9 @@ from stereokit.backends.openvino import OpenVinoBackend
 from stereokit.backends.optional import import_optional
 from stereokit.backends.signal_stack import kept_signal_stack
 from stereokit.data.atomic import atomic_path
-from stereokit.errors import ConfigError, InputError
-from stereokit.export.checking import Pair, check_exact, check_pairs, compare
-from stereokit.export.onnx import to_onnx
+from stereokit.errors import ConfigError
+from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
+from stereokit.export.onnx import check_onnx, to_onnx
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
 
@@ -68,7 +68,11 @@ def export_openvino(
     if precision not in PRECISIONS:
         raise ConfigError(f"precision {precision!r} can't be exported; {', '.join(PRECISIONS)} would do")
     _check_calibration(precision, calibration, size)
+    check_size((pairs or {}).values(), size, "to compare on")
     openvino = import_optional("openvino", "export to OpenVINO")
+    if precision == "int8":
+        import_optional("nncf", "int8")
+    check_onnx()
     with on_cpu(model) as network:
         converted = _convert(openvino, network, size, precision)
         chosen = [*check_pairs(network, size), *(pairs or {}).items()]
@@ -85,7 +89,13 @@ def export_openvino(
                 check_exact(exact)
             backend = OpenVinoBackend(xml, "cpu", weights=binary)
             differences = compare(backend, network, chosen)
-    return ExportReport(target, backend.metadata, tuple(differences), backend.precision)
+    return ExportReport(
+        target,
+        backend.metadata,
+        tuple(differences),
+        backend.precision,
+        calibrated_on=None if calibration is None else len(calibration),
+    )
 
 
 def _check_calibration(precision: str, calibration: Sequence[Pair] | None, size: tuple[int, int] | None) -> None:
@@ -99,13 +109,7 @@ def _check_calibration(precision: str, calibration: Sequence[Pair] | None, size:
             "(calibration=[(left, right), ..]; --calibrate LEFT RIGHT, or a data set), or rendered ones "
             "(--calibrate synthetic)"
         )
-    for left, _ in calibration:
-        given = (left.shape[-2], left.shape[-1])
-        if size is not None and given != size:
-            raise InputError(
-                f"a pair of the calibration is {given[1]} x {given[0]} pixels, but the export is for {size[1]} x "
-                f"{size[0]}; leave out the size, or calibrate with pairs of it"
-            )
+    check_size(calibration, size, "of the calibration")
 
 
 @kept_signal_stack()

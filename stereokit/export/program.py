@@ -11,7 +11,7 @@ from torch import nn
 from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.metadata import KEY, ExportMetadata, describe_network
 from stereokit.data.atomic import atomic_path
-from stereokit.export.checking import Pair, check_exact, check_pairs, compare
+from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
 from stereokit.export.graph import trace
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
@@ -66,6 +66,7 @@ def export_program(
     >>> export_program(build_model("coex"), "coex.pt2", size=(384, 1248))  # doctest: +SKIP
     """
     target = check_target(path, ".pt2", overwrite=overwrite)
+    check_size((pairs or {}).values(), size, "to compare on")
     with on_cpu(model) as network:
         metadata = ExportMetadata(**describe_network(network), size=size)
         program = trace(network, size)

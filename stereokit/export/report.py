@@ -9,6 +9,10 @@ from stereokit.export.checking import Difference
 __all__ = ["ExportReport"]
 
 
+FEW = 20
+"""Pairs of a calibration below which the report says so."""
+
+
 @dataclass(frozen=True)
 class ExportReport:
     """A file that was written and checked.
@@ -18,18 +22,23 @@ class ExportReport:
         metadata: that it holds.
         differences: from the network in float32, pair by pair.
         precision: in which the check ran; wider than that of the file where this machine lacks it.
+        calibrated_on: pairs that ranges of values were measured on; None without a calibration.
     """
 
     path: Path
     metadata: ExportMetadata
     differences: tuple[Difference, ...]
     precision: str
+    calibrated_on: int | None = None
 
     def __str__(self) -> str:
         size = self.metadata.size
         of = "images of any size" if size is None else f"{size[1]} x {size[0]} px"
         opset = "" if self.metadata.opset is None else f", opset {self.metadata.opset}"
         lines = [f"wrote {self.path}: {of}, {self.metadata.precision}{opset}"]
+        if self.calibrated_on is not None:
+            few = "; 20 to 300 are usual" if self.calibrated_on < FEW else ""
+            lines.append(f"calibrated on {self.calibrated_on} pair{'s' * (self.calibrated_on != 1)}{few}")
         if self.precision != self.metadata.precision:
             lines.append(f"this machine has no {self.metadata.precision}; compared with PyTorch in {self.precision}:")
         else:

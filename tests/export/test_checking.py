@@ -4,9 +4,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereokit import ConfigError
+from stereokit import ConfigError, InputError
 from stereokit.backends import Estimate
-from stereokit.export.checking import OUTLIERS, check_exact, check_pairs, compare, random_pair
+from stereokit.export.checking import OUTLIERS, check_exact, check_pairs, check_size, compare, random_pair
 from tests.export.networks import Tiny
 
 
@@ -47,6 +47,14 @@ def test_ties_are_forgiven_and_more_is_not():
         check_exact(compare(Shifted(model, 0.02, 2 * OUTLIERS), model, PAIR))
     with pytest.raises(ConfigError, match=r"not finite"):
         compare(Shifted(model, np.nan, 0.01), model, PAIR)
+
+
+def test_pairs_of_another_size_are_refused_before_the_export():
+    pairs = [random_pair(40, 64)]
+    check_size(pairs, None, "to compare on")
+    check_size(pairs, (40, 64), "to compare on")
+    with pytest.raises(InputError, match="a pair to compare on is 64 x 40 pixels, but the export is for 60 x 40"):
+        check_size(pairs, (40, 60), "to compare on")
 
 
 def test_the_pairs_are_textured_and_seen_from_two_places():

@@ -238,6 +238,16 @@ def small(overrides):
     return dict(overrides)
 
 
+@pytest.mark.filterwarnings("ignore:Specified provider")
+def test_a_device_whose_libraries_do_not_load_is_refused(exported, monkeypatch):
+    from stereokit.backends.onnxruntime import OnnxRuntimeBackend
+
+    # a build for CUDA on a machine without its libraries goes on with the CPU
+    monkeypatch.setattr(OnnxRuntimeBackend, "_choose", staticmethod(lambda device, available: torch.device("cuda")))
+    with pytest.raises(ConfigError, match="can't use device 'cuda' here, though built for it"):
+        OnnxRuntimeBackend(exported.path)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list_models())
 def test_every_network_is_exported_for_any_size(name, tmp_path):

@@ -48,6 +48,7 @@ def test_int8_is_near_and_says_how_near(tiny, tmp_path):
     report = export_openvino(tiny, tmp_path / "a.xml", precision="int8", calibration=pairs)
     assert Predictor(tmp_path / "a.xml").backend.precision == "int8"
     assert len(report.differences) == 4
+    assert "calibrated on 4 pairs; 20 to 300 are usual" in str(report)
     assert all(0 < difference.mean < 0.2 for difference in report.differences)
     kinds = {op.get_type_name() for op in openvino.Core().read_model(tmp_path / "a.xml").get_ops()}
     assert "FakeQuantize" in kinds
