@@ -15,6 +15,7 @@ from stereokit.export.checking import random_pair
 from stereokit.memory import estimate_memory
 from stereokit.models.ablation import ABLATION
 from tests.export.networks import Untrue
+from tests.optimize.networks import settle
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxscript")
@@ -251,7 +252,7 @@ def test_a_device_whose_libraries_do_not_load_is_refused(exported, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list_models())
 def test_every_network_is_exported_for_any_size(name, tmp_path):
-    export_onnx(build_model(name, max_disparity=64), tmp_path / "a.onnx")
+    export_onnx(settle(build_model(name, max_disparity=64)), tmp_path / "a.onnx")
     kinds = check_ready_for_tensorrt(tmp_path / "a.onnx")
     assert kinds["TopK"] == (1 if name == "coex" else 0)
 
@@ -259,6 +260,6 @@ def test_every_network_is_exported_for_any_size(name, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("row", ABLATION, ids=lambda row: f"{row.table}-{row.epe}")
 def test_every_row_of_the_ablation_is_exported(row, tmp_path):
-    model = build_model(row.model, max_disparity=64, **small(row.overrides))
+    model = settle(build_model(row.model, max_disparity=64, **small(row.overrides)))
     export_onnx(model, tmp_path / "a.onnx", size=(64, 96))
     check_ready_for_tensorrt(tmp_path / "a.onnx")

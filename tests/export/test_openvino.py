@@ -80,4 +80,4 @@ def test_bad_requests_are_refused_and_leave_nothing(tiny, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["coex", "psmnet", "gcnet"])
 def test_the_networks_are_exported_for_any_size(name, tmp_path):
-    export_openvino(build_model(name, max_disparity=64), tmp_path / "a.xml")
+    export_openvino(settle(build_model(name, max_disparity=64)), tmp_path / "a.xml")
