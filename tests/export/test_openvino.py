@@ -4,6 +4,7 @@ import pytest
 from stereokit import ConfigError, InputError, Predictor, build_model
 from stereokit.export import export_openvino
 from stereokit.export.checking import random_pair
+from tests.optimize.networks import settle
 
 openvino = pytest.importorskip("openvino")
 pytest.importorskip("onnxscript")
