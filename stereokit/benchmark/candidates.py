@@ -15,20 +15,27 @@ from stereokit.builder import build_model
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.export import export_onnx, export_openvino
+from stereokit.export.calibration import SYNTHETIC, find_pairs
 from stereokit.model import StereoModel
 from stereokit.optimize import prepare_for_inference
-from stereokit.precision import dtype_of
+from stereokit.precision import DTYPES, dtype_of
 from stereokit.published import NETWORKS, load_published
 from stereokit.registry import list_models, suggest
 from stereokit.weights import list_weights, load_weights
 
-__all__ = ["BACKENDS", "Candidate", "Ready", "Source", "image_pair", "rival_source", "source_of"]
+__all__ = ["BACKENDS", "PRECISIONS", "Candidate", "Ready", "Source", "image_pair", "rival_source", "source_of"]
 
 Source: TypeAlias = Callable[..., Any]
 """Makes a network, or a matcher such as SGBM; takes ``max_disparity``, or nothing for its own."""
 
 Ready: TypeAlias = Callable[[Tensor, Tensor], object]
 """Matches images (B, 3, H, W), uint8, that lie on the device."""
+
+
+PRECISIONS = (*DTYPES, "int8")
+"""int8 for OpenVINO alone."""
+
+CALIBRATION_PAIRS = 2
 
 
 @dataclass(frozen=True)
@@ -123,8 +130,14 @@ def _to_onnx(candidate: Candidate, folder: str) -> Path:
 
 def _to_openvino(candidate: Candidate, folder: str) -> Path:
     _check_batch(candidate)
-    size = (candidate.height, candidate.width)
-    return export_openvino(candidate.build(), f"{folder}/network.xml", size=size, precision=candidate.precision).path
+    network, size = candidate.build(), (candidate.height, candidate.width)
+    calibration = None
+    if candidate.precision == "int8":
+        # what is measured decides on errors, not on the speed
+        calibration = list(find_pairs([SYNTHETIC], CALIBRATION_PAIRS, network, size).values())
+    return export_openvino(
+        network, f"{folder}/network.xml", size=size, precision=candidate.precision, calibration=calibration
+    ).path
 
 
 def _check_batch(candidate: Candidate) -> None:

@@ -11,7 +11,7 @@ import cv2
 import torch
 from tqdm import tqdm
 
-from stereokit.benchmark.candidates import BACKENDS, Candidate, rival_source, source_of
+from stereokit.benchmark.candidates import BACKENDS, PRECISIONS, Candidate, rival_source, source_of
 from stereokit.benchmark.report import Benchmark, check_plot
 from stereokit.benchmark.run import run_benchmark
 from stereokit.data.atomic import check_free
@@ -19,7 +19,6 @@ from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.inference import choose_device
 from stereokit.model import MIN_SIZE
-from stereokit.precision import DTYPES
 from stereokit.registry import list_models, suggest
 
 __all__ = ["add_arguments", "run"]
@@ -46,7 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--backend", nargs="+", default=["torch"], metavar="NAME", help=f"{', '.join(backends)} (default: torch)"
     )
     parser.add_argument(
-        "--precision", nargs="+", default=["float32"], metavar="NAME", help=f"{', '.join(DTYPES)} (default: float32)"
+        "--precision",
+        nargs="+",
+        default=["float32"],
+        metavar="NAME",
+        help=f"{', '.join(PRECISIONS)} (default: float32)",
     )
     parser.add_argument(
         "--size", nargs=2, type=int, action="append", metavar=("H", "W"), help="repeat for several (default: 384 1248)"
@@ -115,7 +118,7 @@ def _candidates(options: argparse.Namespace) -> list[Candidate]:
     backends = [name for name in BACKENDS if name != RIVAL_BACKEND]
     for option, given, known in (
         ("--backend", options.backend, backends),
-        ("--precision", options.precision, list(DTYPES)),
+        ("--precision", options.precision, list(PRECISIONS)),
     ):
         for name in given:
             if name not in known:
