@@ -30,7 +30,7 @@ from stereokit.registry import MODELS, REGISTRIES, list_components
 from stereokit.summary import model_summary
 from stereokit.tiling import TooLarge
 from stereokit.training import command as training_command
-from stereokit.weights import default_weights, list_weights, load_weights, read_manifest
+from stereokit.weights import default_weights, load_weights, named_weights, read_manifest, suggest_weights
 
 __all__ = ["main"]
 
@@ -91,7 +91,8 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("--model", help="name of the network that the weights are for (default: coex)")
     predict.add_argument(
         "--weights",
-        help="folder of a saved network, published checkpoint, exported file, or a name of stereokit list weights",
+        help="folder of a saved network, published checkpoint, exported file, a name of stereokit list weights, or "
+        "that of a network for its default ones",
     )
     _add_published_options(predict)
     predict.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
@@ -229,12 +230,16 @@ def _load_predictor(options: argparse.Namespace, **limits: Any) -> Predictor:
 
 
 def _load_network(options: argparse.Namespace) -> StereoModel:
-    if options.weights is None or options.weights in list_weights():
-        return _load_shipped(options)
+    named = None if options.weights is None else named_weights(options.weights)
+    if options.weights is None or named is not None:
+        return _load_shipped(options, named)
     if is_exported(options.weights):
         raise CheckpointError(f"{options.weights!r} is an exported file; give the network that it was exported from")
     if not os.path.exists(options.weights):
-        raise CheckpointError(f"the weights {options.weights!r} do not exist")
+        raise CheckpointError(
+            f"the weights {options.weights!r} do not exist; {suggest_weights(options.weights)}; the folder of a saved "
+            "network or a published checkpoint would do"
+        )
     if os.path.isdir(options.weights):
         if options.channel_order is not None or options.top_k is not None:
             raise ConfigError(
@@ -252,18 +257,16 @@ def _load_network(options: argparse.Namespace) -> StereoModel:
     return model
 
 
-def _load_shipped(options: argparse.Namespace) -> StereoModel:
+def _load_shipped(options: argparse.Namespace, weights: str | None) -> StereoModel:
     network = options.model or "coex"
-    if options.weights is None:
+    if weights is None:
         MODELS.get(network)
         try:
             weights = default_weights(network)
         except ConfigError as error:
             raise CheckpointError(f"{error}; give --weights with a saved network or a published checkpoint") from error
-    else:
-        weights = options.weights
-        if options.model not in (None, read_manifest(weights)["network"]["name"]):
-            raise CheckpointError(f"{weights!r} are no weights of a {options.model}; leave out --model")
+    elif options.model not in (None, read_manifest(weights)["network"]["name"]):
+        raise CheckpointError(f"{weights!r} are no weights of a {options.model}; leave out --model")
     if options.channel_order is not None or options.top_k is not None:
         raise ConfigError("--channel-order and --top-k are for published checkpoints; give --weights with one")
     return load_weights(weights)

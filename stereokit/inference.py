@@ -22,10 +22,10 @@ from stereokit.errors import CheckpointError, ConfigError
 from stereokit.inputs import ImageLike, to_pair
 from stereokit.memory import MemorySize, running_out_as
 from stereokit.model import StereoModel, StereoOutput, check_least_size
-from stereokit.registry import MODELS, WEIGHTS
+from stereokit.pretrained import is_hub_id
 from stereokit.tiling import BoundedMatcher, MemoryPlan, TooLarge
 from stereokit.viz import picture_with_scale
-from stereokit.weights import default_weights, load_weights
+from stereokit.weights import load_weights, named_weights, suggest_weights
 
 __all__ = ["DisparityResult", "Predictor", "choose_device"]
 
@@ -266,10 +266,14 @@ def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
             f"{name!r} is a file; a published checkpoint is read by stereokit.load_published, and exported files end "
             f"in {' or '.join(FILE_BACKENDS)}"
         )
-    if not os.path.isdir(name) and name in WEIGHTS:
-        return load_weights(name)
-    if not os.path.isdir(name) and name in MODELS:
-        return load_weights(default_weights(name))
+    if not os.path.isdir(name):
+        if weights := named_weights(name):
+            return load_weights(weights)
+        if not is_hub_id(name):
+            raise CheckpointError(
+                f"unknown network {name!r}; {suggest_weights(name)}; the folder of a saved network or an exported file "
+                "would do"
+            )
     return StereoModel.from_pretrained(name)
 
 

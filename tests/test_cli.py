@@ -1,4 +1,5 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,20 @@ def test_predict_without_weights_takes_those_of_the_library(capsys: pytest.Captu
     assert "50 x 40 px" in said
 
 
+def test_the_name_of_a_network_stands_for_its_weights(
+    capsys: pytest.CaptureFixture[str], images: Path, weights: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(images)
+    pair = "left/a.png", "right/a.png"
+    assert run(capsys, "predict", *pair, "--out", "default")[0] == 0
+    assert run(capsys, "predict", *pair, "--out", "named", "--weights", "coex")[0] == 0
+    assert Path("named/a_disparity.pfm").read_bytes() == Path("default/a_disparity.pfm").read_bytes()
+    # a folder of that name goes first
+    shutil.copytree(weights, "coex")
+    assert run(capsys, "predict", *pair, "--out", "folder", "--weights", "coex")[0] == 0
+    assert Path("folder/a_disparity.pfm").read_bytes() != Path("default/a_disparity.pfm").read_bytes()
+
+
 def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
     arguments = ("predict", images / "left/a.png", images / "right/a.png", "--weights", weights, "--out", images / "o")
     assert run(capsys, *arguments)[0] == 0
@@ -126,6 +141,8 @@ def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images
         (("left/a.png", "right/a.png", "--device", "tpu"), "'auto' or 'cpu' would do"),
         (("left/a.png", "right/a.png", "--model", "psmnet", "--weights", "SAVED"), "holds a coex, not a psmnet"),
         (("left/a.png", "right/a.png", "--weights", "nowhere"), "'nowhere' do not exist"),
+        (("left/a.png", "right/a.png", "--weights", "coex.synthetic_v1"), "did you mean 'coex.synthetic_v2'"),
+        (("left/a.png", "right/a.png", "--weights", "psmnet"), "no weights for 'psmnet'; there are coex.synthetic_v2"),
         (("left/a.png", "right/a.png", "--top-k", "3", "--weights", "SAVED"), "are for published checkpoints"),
         (("left/a.png", "right/a.png", "--weights", "left/a.png"), "a.png"),
         (("left/a.png", "left/b.png", "right/a.png"), "in quotes"),

@@ -25,7 +25,7 @@ from stereokit.evaluation.submission import KittiSubmission
 from stereokit.evaluation.tables import format_dataset
 from stereokit.inference import Predictor
 from stereokit.registry import list_models, suggest
-from stereokit.weights import default_weights
+from stereokit.weights import default_weights, named_weights
 
 __all__ = ["add_arguments", "run"]
 
@@ -42,7 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--weights",
-        help="folder of a saved network, published checkpoint, exported file, or a name of stereokit list weights",
+        help="folder of a saved network, published checkpoint, exported file, a name of stereokit list weights, or "
+        "that of a network for its default ones",
     )
     parser.add_argument(
         "--data",
@@ -148,7 +149,9 @@ def _matcher(options: argparse.Namespace, load_predictor: LoadPredictor) -> Matc
     if name not in list_models():
         raise ConfigError(f"unknown model {name!r}; {suggest(name, [*list_models(), *SGBM_VARIANTS])}")
     _refuse(name, options, "search_range")
-    return NetworkMatcher(load_predictor(options), weights=options.weights or default_weights(name))
+    predictor = load_predictor(options)
+    weights = default_weights(name) if options.weights is None else named_weights(options.weights) or options.weights
+    return NetworkMatcher(predictor, weights=weights)
 
 
 def _refuse(name: str, options: argparse.Namespace, *given: str) -> None:
