@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.exported import ExportedBackend
-from stereokit.backends.opening import FILE_BACKENDS, check_backend, is_exported, open_backend
+from stereokit.backends.opening import FILE_BACKENDS, check_backend, check_no_program, is_exported, open_backend
 from stereokit.data.atomic import atomic_path, check_free, make_folder
 from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
@@ -261,6 +261,7 @@ def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
     if not isinstance(place, str | os.PathLike):
         raise ConfigError(f"a predictor takes a network, or the name or place of one; got {type(place).__name__}")
     name = os.fspath(place)
+    check_no_program(name)
     if os.path.isfile(name):
         raise CheckpointError(
             f"{name!r} is a file; a published checkpoint is read by stereokit.load_published, and exported files end "

@@ -143,6 +143,7 @@ def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images
         (("left/a.png", "right/a.png", "--weights", "nowhere"), "'nowhere' do not exist"),
         (("left/a.png", "right/a.png", "--weights", "coex.synthetic_v1"), "did you mean 'coex.synthetic_v2'"),
         (("left/a.png", "right/a.png", "--weights", "psmnet"), "no weights for 'psmnet'; there are coex.synthetic_v2"),
+        (("left/a.png", "right/a.png", "--weights", "left/program.pt2"), "which torch.export.load reads"),
         (("left/a.png", "right/a.png", "--top-k", "3", "--weights", "SAVED"), "are for published checkpoints"),
         (("left/a.png", "right/a.png", "--weights", "left/a.png"), "a.png"),
         (("left/a.png", "left/b.png", "right/a.png"), "in quotes"),
@@ -160,6 +161,7 @@ def test_bad_input_is_one_line(
     monkeypatch.chdir(images)
     write_image("right/small.png", np.zeros((33, 50, 3), np.uint8))
     Path("left/text.png").write_text("no image at all")
+    Path("left/program.pt2").touch()
     given = [weights if a == "SAVED" else a for a in arguments]
     if "--weights" not in given and "--model" not in given:
         given += ["--weights", weights]

@@ -97,6 +97,9 @@ def test_it_reads_a_saved_network(tmp_path: Path, coex: Predictor) -> None:
         Predictor(tmp_path / "nowhere")
     with pytest.raises(CheckpointError, match=r"is read by stereokit\.load_published"):
         Predictor(tmp_path / "model.safetensors")
+    (tmp_path / "network.pt2").touch()
+    with pytest.raises(CheckpointError, match=r"torch\.export\.load reads; .* \.onnx or \.xml, or the network itself"):
+        Predictor(tmp_path / "network.pt2")
     with pytest.raises(ConfigError, match="no weights for 'gcnet'"):
         Predictor("gcnet")
     with pytest.raises(ConfigError, match="got NoneType"):
