@@ -137,9 +137,9 @@ def test_small_and_unequal_images_are_refused(coex: Predictor) -> None:
 
 
 def test_unknown_and_absent_devices_are_refused() -> None:
-    for device in ("tpu9", "cuda:99"):
+    for device in ("tpu9", "cuda:99", None, 2.5):
         with pytest.raises(ConfigError, match=f"device '{device}' can't be used; 'auto' or 'cpu' would do"):
-            choose_device(device)
+            choose_device(device)  # type: ignore[arg-type]
     assert choose_device("auto").type in {"cpu", "cuda", "mps", "xpu"}
 
 
