@@ -14,7 +14,7 @@ from stereokit._version import __version__
 from stereokit.backends import BACKENDS, is_exported
 from stereokit.benchmark import command as benchmark_command
 from stereokit.builder import build_model
-from stereokit.data.atomic import check_free, make_folder
+from stereokit.data.atomic import check_folder, check_free
 from stereokit.data.datasets import DATASETS, check_dataset, format_report, open_dataset
 from stereokit.data.pairs import match_pairs
 from stereokit.data.synthetic.command import run_synth
@@ -42,8 +42,6 @@ BACKEND_HELP = f"{', '.join(BACKENDS)} (default: torch, or that of an exported f
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Bad usage is one line, as every other error."""
-        if message.startswith("unrecognized arguments"):
-            message += " (a pattern such as 'left/*.png' must stand in quotes)"
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
 
 
@@ -66,7 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the process is this command's own
         keep_freed_memory()
     given = sys.argv[1:] if arguments is None else list(arguments)
-    options = _parser().parse_args(given, argparse.Namespace(arguments=given))
+    options, unknown = _parser().parse_known_args(given, argparse.Namespace(arguments=given))
+    if unknown:
+        _refuse(options.command, unknown)
     try:
         options.run(options)
     except StereoKitError as error:
@@ -78,6 +78,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
+
+
+def _refuse(command: str, unknown: Sequence[str]) -> NoReturn:
+    """What argparse says of arguments that a command does not know, which names no command."""
+    unquoted = any(not argument.startswith("-") for argument in unknown)
+    hint = " (a pattern such as 'left/*.png' must stand in quotes)" if unquoted else ""
+    print(
+        f"stereokit {command}: unrecognized arguments: {' '.join(unknown)}{hint}; see stereokit {command} --help",
+        file=sys.stderr,
+    )
+    raise SystemExit(2)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -180,11 +191,10 @@ def _add_published_options(parser: argparse.ArgumentParser) -> None:
 
 def _predict(options: argparse.Namespace) -> None:
     pairs = match_pairs(options.left, options.right)
+    # now rather than after the first pair is matched
+    check_folder(options.out)
     check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
     predictor = _load_predictor(options, max_memory=options.max_memory, too_large=options.too_large)
-    if len(pairs) > 1:
-        # now rather than after the first pair is matched
-        make_folder(options.out)
     failed: list[str] = []
     for pair in tqdm(pairs, unit="pair", disable=len(pairs) == 1):
         try:
@@ -310,8 +320,8 @@ def _info(options: argparse.Namespace) -> None:
 
 
 def _convert(options: argparse.Namespace) -> None:
+    check_folder(options.out)
     check_free([Path(options.out) / "config.json"], overwrite=options.overwrite)
-    make_folder(options.out)
     model, report = _read_published(options, options.checkpoint, options.model)
     model.save_pretrained(options.out)
     order = (options.channel_order or "bgr").upper()

@@ -148,6 +148,8 @@ def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images
         (("left/a.png", "right/a.png", "--weights", "left/a.png"), "a.png"),
         (("left/a.png", "left/b.png", "right/a.png"), "in quotes"),
         (("left/a.png",), "right"),
+        (("left/a.png", "right/a.png", "--out", "left/b.png"), "the folder 'left/b.png': it is a file"),
+        (("left/a.png", "right/a.png", "--out", "left/b.png/below/it"), "left/b.png' is a file; choose another folder"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -169,6 +171,35 @@ def test_bad_input_is_one_line(
     assert not Path("disparity").exists()
 
 
+def test_the_folder_for_results_is_looked_at_before_the_network_is_loaded(
+    capsys: pytest.CaptureFixture[str], images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair = images / "left/a.png", images / "right/a.png"
+    absent = ("--weights", images / "absent")
+    assert "it is a file" in fails(capsys, "predict", *pair, *absent, "--out", images / "left/a.png")
+    (images / "link").symlink_to("away")
+    assert "it is no folder" in fails(capsys, "predict", *pair, *absent, "--out", images / "link")
+    # the tests may run as root, who may write anywhere
+    monkeypatch.setattr("os.access", lambda place, mode: False)
+    assert f"'{images}' may not be written to" in fails(capsys, "predict", *pair, *absent, "--out", images / "out")
+
+
+def test_a_failing_pair_leaves_no_folder(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    for side in ("left", "right"):
+        for name in ("a", "b"):
+            (images / side / f"{name}.png").write_text("broken")
+    for chosen in ("", "a.png"):
+        arguments = (images / "left" / chosen, images / "right" / chosen, "--weights", weights)
+        assert run(capsys, "predict", *arguments, "--out", images / "out")[0] == 2
+    assert not (images / "out").exists()
+
+
+def test_unknown_options_are_refused_in_the_name_of_their_command(capsys: pytest.CaptureFixture[str]) -> None:
+    said = fails(capsys, "predict", "left.png", "right.png", "--verbose")
+    assert said == "stereokit predict: unrecognized arguments: --verbose; see stereokit predict --help\n"
+    assert "in quotes" in fails(capsys, "predict", "a.png", "b.png", "c.png", "--verbose")
+
+
 def test_list_and_info(capsys: pytest.CaptureFixture[str], weights: str) -> None:
     assert run(capsys, "list", "models", "psm*")[1] == "psmnet\n"
     assert "groupwise_correlation" in run(capsys, "list")[1]
@@ -179,6 +210,13 @@ def test_list_and_info(capsys: pytest.CaptureFixture[str], weights: str) -> None
     assert "did you mean 'costs'" in fails(capsys, "list", "cost")
     assert "did you mean 'psmnet'" in fails(capsys, "info", "psmnett")
     assert "32 x 32" in fails(capsys, "info", "coex", "--size", 8, 8)
+
+
+def test_a_failed_conversion_leaves_no_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "text.txt").write_text("no checkpoint")
+    assert "text.txt" in fails(capsys, "convert", tmp_path / "text.txt", tmp_path / "my")
+    assert not (tmp_path / "my").exists()
+    assert "it is a file" in fails(capsys, "convert", tmp_path / "text.txt", tmp_path / "text.txt")
 
 
 @needs_shared

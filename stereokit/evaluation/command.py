@@ -12,7 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from stereokit.backends import BACKENDS
-from stereokit.data.atomic import check_free, make_folder
+from stereokit.data.atomic import check_folder, check_free
 from stereokit.data.datasets.dataset import StereoEntry
 from stereokit.data.datasets.opening import open_dataset
 from stereokit.errors import ConfigError, InputError
@@ -87,6 +87,10 @@ def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
     Raises:
         StereoKitError: options or data that can't be used; then no result is written.
     """
+    for folder in (options.out, options.report, options.submission):
+        # now rather than after hours of matching
+        if folder is not None:
+            check_folder(folder)
     check_free(result_paths(options.out), overwrite=options.overwrite)
     if len(set(options.data)) < len(options.data):
         raise InputError(f"--data names {', '.join(options.data)}; expected each once")
@@ -105,10 +109,6 @@ def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
         [dataset] = datasets.values()
         observers.append(KittiSubmission(options.submission, dataset, overwrite=options.overwrite))
     matcher = _matcher(options, load_predictor)
-    for folder in (options.out, options.report, options.submission):
-        # now rather than after hours of matching
-        if folder is not None:
-            make_folder(folder)
     evaluation = evaluate(
         matcher,
         datasets,
