@@ -118,7 +118,7 @@ def test_an_empty_split_names_those_with_pairs(tmp_path, kind, tree):
     with pytest.raises(InputError, match=r"split 'val' of kitti201\d is empty in .*of split 'training' or 'train'$"):
         kind(tmp_path / "a", split="val")
     tree(tmp_path / "b", [10])
-    with pytest.raises(InputError, match="split 'train' of .* of split 'training' or 'val'$"):
+    with pytest.raises(InputError, match=r"split 'train' of .* of split 'training' or 'val'$"):
         kind(tmp_path / "b", split="train")
 
 
