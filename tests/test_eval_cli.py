@@ -73,8 +73,9 @@ def test_the_semi_global_matcher_goes_through_the_same_door(capsys: pytest.Captu
 
 def test_a_function_of_ones_own_goes_through_the_same_door(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     (here / "my_matcher.py").write_text("def five(left, right):\n    return left[:, :, 0] * 0.0 + 5\n")
-    code, _, _ = run(capsys, "eval", "--model", "my_matcher:five", "--data", "folder:mine", "--limit", 1)
+    code, said, _ = run(capsys, "eval", "--model", "my_matcher:five", "--data", "folder:mine", "--limit", 1)
     assert code == 0
+    assert " 1 image\n" in said
     record = json.loads((here / "evaluation/evaluation.json").read_text())
     assert record["model"] == {"matcher": "callable", "name": "my_matcher.five"}
     assert record["datasets"][0]["metrics"]["epe"] == 0
