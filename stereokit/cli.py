@@ -289,8 +289,12 @@ def _read_published(options: argparse.Namespace, path: str, network: str) -> tup
 
 def _list(options: argparse.Namespace) -> None:
     if options.slot is not None:
-        for name in list_components(options.slot, options.pattern):
-            print(name)
+        names = list_components(options.slot, options.pattern)
+        if not names:
+            raise ConfigError(
+                f"no {options.slot} match {options.pattern!r}; there are {', '.join(list_components(options.slot))}"
+            )
+        print("\n".join(names))
         return
     for slot in REGISTRIES:
         print(f"{slot:13}{'  '.join(list_components(slot))}")

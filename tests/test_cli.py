@@ -1,5 +1,8 @@
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +203,13 @@ def test_unknown_options_are_refused_in_the_name_of_their_command(capsys: pytest
     assert "in quotes" in fails(capsys, "predict", "a.png", "b.png", "c.png", "--verbose")
 
 
+def test_the_package_runs_as_a_module() -> None:
+    command = [sys.executable, "-m", "stereokit", "list", "costs", "*wise*"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "groupwise_correlation\n"), done.stderr
+
+
 def test_list_and_info(capsys: pytest.CaptureFixture[str], weights: str) -> None:
     assert run(capsys, "list", "models", "psm*")[1] == "psmnet\n"
     assert "groupwise_correlation" in run(capsys, "list")[1]
@@ -207,6 +217,8 @@ def test_list_and_info(capsys: pytest.CaptureFixture[str], weights: str) -> None
     assert "2,721,993" in said
     assert "Hourglass" in said
     assert "max_disparity 64" in run(capsys, "info", weights)[1]
+    expected = "stereokit list: no costs match 'x*'; there are concatenation, correlation, groupwise_correlation\n"
+    assert fails(capsys, "list", "costs", "x*") == expected
     assert "did you mean 'costs'" in fails(capsys, "list", "cost")
     assert "did you mean 'psmnet'" in fails(capsys, "info", "psmnett")
     assert "32 x 32" in fails(capsys, "info", "coex", "--size", 8, 8)
