@@ -35,8 +35,8 @@ def check_no_program(path: str) -> None:
     """Raises `CheckpointError` for a file with a program of `torch.export`, going by its suffix: no backend runs it."""
     if Path(path).suffix.lower() == ".pt2" and os.path.isfile(path):
         raise CheckpointError(
-            f"{path!r} is a program of torch.export, which torch.export.load reads; an exported file that ends in "
-            f"{' or '.join(FILE_BACKENDS)}, or the network itself, would do"
+            f"{path!r} is a program of torch.export, which torch.export.load reads; Predictor takes exported files "
+            f"that end in {' or '.join(FILE_BACKENDS)}, or the network itself"
         )
 
 
