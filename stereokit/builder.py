@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeAlias, TypedDict, cast
 
 from torch import nn
 
-from stereokit.backbones.encoder import is_timm_model
+from stereokit.backbones.encoder import is_timm_model, near_timm_models
 from stereokit.contracts import FeatureInfo, GuidanceFactory, check_interface, check_max_disparity
 from stereokit.errors import ConfigError
 from stereokit.model import StereoModel
@@ -222,8 +222,11 @@ class _Slot:
             raise ConfigError(f"the name of a {slot} is a string, not {name!r}")
         if slot == "backbone" and name not in BACKBONES:
             if not is_timm_model(name):
+                near = " or ".join(map(repr, near_timm_models(name)))
+                such_as = f", such as {near}" if near else ""
                 raise ConfigError(
                     f"unknown backbone {name!r}; {suggest(name, BACKBONES.names())}, or the name of a timm model"
+                    f"{such_as}"
                 )
             arguments["encoder"] = name
             name = "unet"

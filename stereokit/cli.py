@@ -14,7 +14,7 @@ from stereokit._version import __version__
 from stereokit.backends import BACKENDS, is_exported
 from stereokit.benchmark import command as benchmark_command
 from stereokit.builder import build_model
-from stereokit.data.atomic import check_free, make_folder
+from stereokit.data.atomic import check_folder, check_free
 from stereokit.data.datasets import DATASETS, check_dataset, format_report, open_dataset
 from stereokit.data.pairs import match_pairs
 from stereokit.data.synthetic.command import run_synth
@@ -30,7 +30,7 @@ from stereokit.registry import MODELS, REGISTRIES, list_components
 from stereokit.summary import model_summary
 from stereokit.tiling import TooLarge
 from stereokit.training import command as training_command
-from stereokit.weights import default_weights, list_weights, load_weights, read_manifest
+from stereokit.weights import default_weights, load_weights, named_weights, read_manifest, suggest_weights
 
 __all__ = ["main"]
 
@@ -42,8 +42,6 @@ BACKEND_HELP = f"{', '.join(BACKENDS)} (default: torch, or that of an exported f
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Bad usage is one line, as every other error."""
-        if message.startswith("unrecognized arguments"):
-            message += " (a pattern such as 'left/*.png' must stand in quotes)"
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
 
 
@@ -66,7 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the process is this command's own
         keep_freed_memory()
     given = sys.argv[1:] if arguments is None else list(arguments)
-    options = _parser().parse_args(given, argparse.Namespace(arguments=given))
+    options, unknown = _parser().parse_known_args(given, argparse.Namespace(arguments=given))
+    if unknown:
+        _refuse(options.command, unknown)
     try:
         options.run(options)
     except StereoKitError as error:
@@ -80,6 +80,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _refuse(command: str, unknown: Sequence[str]) -> NoReturn:
+    """What argparse says of arguments that a command does not know, which names no command."""
+    unquoted = any(not argument.startswith("-") for argument in unknown)
+    hint = " (a pattern such as 'left/*.png' must stand in quotes)" if unquoted else ""
+    print(
+        f"stereokit {command}: unrecognized arguments: {' '.join(unknown)}{hint}; see stereokit {command} --help",
+        file=sys.stderr,
+    )
+    raise SystemExit(2)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="stereokit", description="Stereo matching: disparity maps from rectified pairs of images.")
     parser.add_argument("--version", action="version", version=f"stereokit {__version__}")
@@ -91,7 +102,8 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("--model", help="name of the network that the weights are for (default: coex)")
     predict.add_argument(
         "--weights",
-        help="folder of a saved network, published checkpoint, exported file, or a name of stereokit list weights",
+        help="folder of a saved network, published checkpoint, exported file, a name of stereokit list weights, or "
+        "that of a network for its default ones",
     )
     _add_published_options(predict)
     predict.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
@@ -179,11 +191,10 @@ def _add_published_options(parser: argparse.ArgumentParser) -> None:
 
 def _predict(options: argparse.Namespace) -> None:
     pairs = match_pairs(options.left, options.right)
+    # now rather than after the first pair is matched
+    check_folder(options.out)
     check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
     predictor = _load_predictor(options, max_memory=options.max_memory, too_large=options.too_large)
-    if len(pairs) > 1:
-        # now rather than after the first pair is matched
-        make_folder(options.out)
     failed: list[str] = []
     for pair in tqdm(pairs, unit="pair", disable=len(pairs) == 1):
         try:
@@ -229,12 +240,16 @@ def _load_predictor(options: argparse.Namespace, **limits: Any) -> Predictor:
 
 
 def _load_network(options: argparse.Namespace) -> StereoModel:
-    if options.weights is None or options.weights in list_weights():
-        return _load_shipped(options)
+    named = None if options.weights is None else named_weights(options.weights)
+    if options.weights is None or named is not None:
+        return _load_shipped(options, named)
     if is_exported(options.weights):
         raise CheckpointError(f"{options.weights!r} is an exported file; give the network that it was exported from")
     if not os.path.exists(options.weights):
-        raise CheckpointError(f"the weights {options.weights!r} do not exist")
+        raise CheckpointError(
+            f"the weights {options.weights!r} do not exist; {suggest_weights(options.weights)}; the folder of a saved "
+            "network or a published checkpoint would do"
+        )
     if os.path.isdir(options.weights):
         if options.channel_order is not None or options.top_k is not None:
             raise ConfigError(
@@ -252,18 +267,16 @@ def _load_network(options: argparse.Namespace) -> StereoModel:
     return model
 
 
-def _load_shipped(options: argparse.Namespace) -> StereoModel:
+def _load_shipped(options: argparse.Namespace, weights: str | None) -> StereoModel:
     network = options.model or "coex"
-    if options.weights is None:
+    if weights is None:
         MODELS.get(network)
         try:
             weights = default_weights(network)
         except ConfigError as error:
             raise CheckpointError(f"{error}; give --weights with a saved network or a published checkpoint") from error
-    else:
-        weights = options.weights
-        if options.model not in (None, read_manifest(weights)["network"]["name"]):
-            raise CheckpointError(f"{weights!r} are no weights of a {options.model}; leave out --model")
+    elif options.model not in (None, read_manifest(weights)["network"]["name"]):
+        raise CheckpointError(f"{weights!r} are no weights of a {options.model}; leave out --model")
     if options.channel_order is not None or options.top_k is not None:
         raise ConfigError("--channel-order and --top-k are for published checkpoints; give --weights with one")
     return load_weights(weights)
@@ -276,8 +289,12 @@ def _read_published(options: argparse.Namespace, path: str, network: str) -> tup
 
 def _list(options: argparse.Namespace) -> None:
     if options.slot is not None:
-        for name in list_components(options.slot, options.pattern):
-            print(name)
+        names = list_components(options.slot, options.pattern)
+        if not names:
+            raise ConfigError(
+                f"no {options.slot} match {options.pattern!r}; there are {', '.join(list_components(options.slot))}"
+            )
+        print("\n".join(names))
         return
     for slot in REGISTRIES:
         print(f"{slot:13}{'  '.join(list_components(slot))}")
@@ -307,8 +324,8 @@ def _info(options: argparse.Namespace) -> None:
 
 
 def _convert(options: argparse.Namespace) -> None:
+    check_folder(options.out)
     check_free([Path(options.out) / "config.json"], overwrite=options.overwrite)
-    make_folder(options.out)
     model, report = _read_published(options, options.checkpoint, options.model)
     model.save_pretrained(options.out)
     order = (options.channel_order or "bgr").upper()

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.exported import ExportedBackend
-from stereokit.backends.opening import FILE_BACKENDS, check_backend, is_exported, open_backend
+from stereokit.backends.opening import FILE_BACKENDS, check_backend, check_no_program, is_exported, open_backend
 from stereokit.data.atomic import atomic_path, check_free, make_folder
 from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
@@ -22,10 +22,10 @@ from stereokit.errors import CheckpointError, ConfigError
 from stereokit.inputs import ImageLike, to_pair
 from stereokit.memory import MemorySize, running_out_as
 from stereokit.model import StereoModel, StereoOutput, check_least_size
-from stereokit.registry import MODELS, WEIGHTS
+from stereokit.pretrained import is_hub_id
 from stereokit.tiling import BoundedMatcher, MemoryPlan, TooLarge
 from stereokit.viz import picture_with_scale
-from stereokit.weights import default_weights, load_weights
+from stereokit.weights import load_weights, named_weights, suggest_weights
 
 __all__ = ["DisparityResult", "Predictor", "choose_device"]
 
@@ -261,15 +261,20 @@ def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
     if not isinstance(place, str | os.PathLike):
         raise ConfigError(f"a predictor takes a network, or the name or place of one; got {type(place).__name__}")
     name = os.fspath(place)
+    check_no_program(name)
     if os.path.isfile(name):
         raise CheckpointError(
             f"{name!r} is a file; a published checkpoint is read by stereokit.load_published, and exported files end "
             f"in {' or '.join(FILE_BACKENDS)}"
         )
-    if not os.path.isdir(name) and name in WEIGHTS:
-        return load_weights(name)
-    if not os.path.isdir(name) and name in MODELS:
-        return load_weights(default_weights(name))
+    if not os.path.isdir(name):
+        if weights := named_weights(name):
+            return load_weights(weights)
+        if not is_hub_id(name):
+            raise CheckpointError(
+                f"unknown network {name!r}; {suggest_weights(name)}; the folder of a saved network or an exported file "
+                "would do"
+            )
     return StereoModel.from_pretrained(name)
 
 
@@ -287,7 +292,7 @@ def choose_device(device: str | torch.device = "auto") -> torch.device:
     try:
         chosen = torch.device(device)
         torch.empty(0, device=chosen)
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
         reason = str(error).strip().split("\n")[0]
         raise ConfigError(f"device {str(device)!r} can't be used; 'auto' or 'cpu' would do ({reason})") from error
     return chosen

@@ -221,7 +221,7 @@ class StereoModel(
         """Loads a network that `save_pretrained` wrote.
 
         Args:
-            folder_or_id: a folder here, or a repository of the Hugging Face hub.
+            folder_or_id: a folder here, or a repository of the Hugging Face hub, owner/name.
             hub_arguments: `revision`, `cache_dir`, `token`, .. of `huggingface_hub`.
 
         Raises:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,10 +22,12 @@ if TYPE_CHECKING:
     from stereokit.builder import ModelConfig
     from stereokit.model import StereoModel
 
-__all__ = ["CONFIG_NAME", "WEIGHTS_NAME", "load_folder", "load_state", "save_folder", "saved_config"]
+__all__ = ["CONFIG_NAME", "WEIGHTS_NAME", "is_hub_id", "load_folder", "load_state", "save_folder", "saved_config"]
 
 CONFIG_NAME = "config.json"
 WEIGHTS_NAME = "model.safetensors"
+
+HUB_ID = re.compile(r"\w[\w.-]*/\w[\w.-]*")
 
 
 def saved_config(model: "StereoModel") -> "ModelConfig":
@@ -41,6 +44,15 @@ def saved_config(model: "StereoModel") -> "ModelConfig":
             "rebuild; register its class and build the network with its name, or save model.state_dict()"
         )
     return config
+
+
+def is_hub_id(name: str) -> bool:
+    """Whether this has the form of a repository of the Hugging Face hub, which alone the hub is asked for.
+
+    >>> is_hub_id("owner/name"), is_hub_id("coex"), is_hub_id("./runs")
+    (True, False, False)
+    """
+    return HUB_ID.fullmatch(name) is not None
 
 
 def save_folder(model: "StereoModel", folder: Path) -> None:
@@ -60,7 +72,7 @@ def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoModel":
     """Builds the network that a configuration describes and loads its weights, in eval mode.
 
     Args:
-        folder_or_id: a folder, or a repository of the Hugging Face hub.
+        folder_or_id: a folder, or a repository of the Hugging Face hub, owner/name.
         hub_arguments: of `huggingface_hub.hf_hub_download`.
 
     Raises:
@@ -92,6 +104,11 @@ def _fetch(folder_or_id: str, name: str, hub_arguments: Mapping[str, Any]) -> st
         if not os.path.isfile(path):
             raise CheckpointError(f"the folder {folder_or_id!r} holds no saved network: {name} is not there")
         return path
+    if not is_hub_id(folder_or_id):
+        raise CheckpointError(
+            f"{folder_or_id!r} is no folder, and no repository of the hub, owner/name; a folder that save_pretrained "
+            "wrote would do"
+        )
     try:
         return hf_hub_download(folder_or_id, name, **hub_arguments)
     except (OSError, HFValidationError) as error:

@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor
 
+from stereokit.backends.opening import check_no_program
 from stereokit.builder import build_model
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.model import StereoModel
@@ -239,6 +240,7 @@ def _rename(key: str, rules: Rules) -> str:
 
 def _read_state_dict(path: str) -> dict[str, Tensor]:
     """The tensors of a Lightning checkpoint or bare state dict, without the prefix of the authors' module."""
+    check_no_program(path)
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:

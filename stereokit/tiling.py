@@ -402,12 +402,21 @@ class BoundedMatcher:
             count = self._count(height, width, tile)
             offers.append(
                 f"too_large='tile' would match it in {count} overlapping tiles of {tile[1]} x {tile[0]} pixels"
+                f"{self._reach(1)}"
             )
         if scale is not None:
-            reach = f", with disparities up to {self.max_disparity / scale:.0f} px" if self.max_disparity else ""
-            offers.append(f"too_large='reduce' would match it at {scale:g} of its size{reach}")
+            offers.append(f"too_large='reduce' would match it at {scale:g} of its size{self._reach(scale)}")
+        if not offers:
+            least = min(1.0, -(-100 * MIN_SIZE // min(height, width)) / 100)
+            smallest = self._needed(round(height * least), round(width * least))
+            offers.append(
+                "neither a tile nor a reduced resolution fits: even at "
+                f"{least:g} of its size it needs about {format_memory(smallest)}"
+            )
         return (
             f"a pair of {width} x {height} pixels needs about {format_memory(needed)} of memory, "
-            f"{format_memory(allowed)} are {whose}; "
-            f"{', '.join(offers) if offers else 'neither a tile nor a reduced resolution fits'}"
+            f"{format_memory(allowed)} are {whose}; {', '.join(offers)}"
         )
+
+    def _reach(self, scale: float) -> str:
+        return f", with disparities up to {self.max_disparity / scale:.0f} px" if self.max_disparity else ""

@@ -142,6 +142,7 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"upsampler": "none"}, ["aggregation Hourglass", "upsampler NoUpsampler", "4", "1"]),
         ({"regression": nn.Identity()}, ["regression Identity lacks min_levels, confidence"]),
         ({"backbone": "spatial_pyramidd"}, ["unknown backbone 'spatial_pyramidd'", "'spatial_pyramid'"]),
+        ({"backbone": "resnet19"}, ["unknown backbone 'resnet19'", "a timm model, such as 'resnet18' or "]),
         ({"backbone": {"encoder": "resnet81"}}, ["unknown timm model 'resnet81'", "'resnet18'"]),
         ({"backbone": "vit_tiny_patch16_224"}, ["no features at stride 4, 8, 32"]),
         ({"top_k": 0}, ["k=0", "whole number"]),

@@ -1,4 +1,8 @@
 import json
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +112,20 @@ def test_predict_without_weights_takes_those_of_the_library(capsys: pytest.Captu
     assert "50 x 40 px" in said
 
 
+def test_the_name_of_a_network_stands_for_its_weights(
+    capsys: pytest.CaptureFixture[str], images: Path, weights: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(images)
+    pair = "left/a.png", "right/a.png"
+    assert run(capsys, "predict", *pair, "--out", "default")[0] == 0
+    assert run(capsys, "predict", *pair, "--out", "named", "--weights", "coex")[0] == 0
+    assert Path("named/a_disparity.pfm").read_bytes() == Path("default/a_disparity.pfm").read_bytes()
+    # a folder of that name goes first
+    shutil.copytree(weights, "coex")
+    assert run(capsys, "predict", *pair, "--out", "folder", "--weights", "coex")[0] == 0
+    assert Path("folder/a_disparity.pfm").read_bytes() != Path("default/a_disparity.pfm").read_bytes()
+
+
 def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
     arguments = ("predict", images / "left/a.png", images / "right/a.png", "--weights", weights, "--out", images / "o")
     assert run(capsys, *arguments)[0] == 0
@@ -126,10 +144,15 @@ def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images
         (("left/a.png", "right/a.png", "--device", "tpu"), "'auto' or 'cpu' would do"),
         (("left/a.png", "right/a.png", "--model", "psmnet", "--weights", "SAVED"), "holds a coex, not a psmnet"),
         (("left/a.png", "right/a.png", "--weights", "nowhere"), "'nowhere' do not exist"),
+        (("left/a.png", "right/a.png", "--weights", "coex.synthetic_v1"), "did you mean 'coex.synthetic_v2'"),
+        (("left/a.png", "right/a.png", "--weights", "psmnet"), "no weights for 'psmnet'; there are coex.synthetic_v2"),
+        (("left/a.png", "right/a.png", "--weights", "left/program.pt2"), "which torch.export.load reads"),
         (("left/a.png", "right/a.png", "--top-k", "3", "--weights", "SAVED"), "are for published checkpoints"),
         (("left/a.png", "right/a.png", "--weights", "left/a.png"), "a.png"),
         (("left/a.png", "left/b.png", "right/a.png"), "in quotes"),
         (("left/a.png",), "right"),
+        (("left/a.png", "right/a.png", "--out", "left/b.png"), "the folder 'left/b.png': it is a file"),
+        (("left/a.png", "right/a.png", "--out", "left/b.png/below/it"), "left/b.png' is a file; choose another folder"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -143,11 +166,48 @@ def test_bad_input_is_one_line(
     monkeypatch.chdir(images)
     write_image("right/small.png", np.zeros((33, 50, 3), np.uint8))
     Path("left/text.png").write_text("no image at all")
+    Path("left/program.pt2").touch()
     given = [weights if a == "SAVED" else a for a in arguments]
     if "--weights" not in given and "--model" not in given:
         given += ["--weights", weights]
     assert message in fails(capsys, "predict", *given)
     assert not Path("disparity").exists()
+
+
+def test_the_folder_for_results_is_looked_at_before_the_network_is_loaded(
+    capsys: pytest.CaptureFixture[str], images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair = images / "left/a.png", images / "right/a.png"
+    absent = ("--weights", images / "absent")
+    assert "it is a file" in fails(capsys, "predict", *pair, *absent, "--out", images / "left/a.png")
+    (images / "link").symlink_to("away")
+    assert "it is no folder" in fails(capsys, "predict", *pair, *absent, "--out", images / "link")
+    # the tests may run as root, who may write anywhere
+    monkeypatch.setattr("os.access", lambda place, mode: False)
+    assert f"'{images}' may not be written to" in fails(capsys, "predict", *pair, *absent, "--out", images / "out")
+
+
+def test_a_failing_pair_leaves_no_folder(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    for side in ("left", "right"):
+        for name in ("a", "b"):
+            (images / side / f"{name}.png").write_text("broken")
+    for chosen in ("", "a.png"):
+        arguments = (images / "left" / chosen, images / "right" / chosen, "--weights", weights)
+        assert run(capsys, "predict", *arguments, "--out", images / "out")[0] == 2
+    assert not (images / "out").exists()
+
+
+def test_unknown_options_are_refused_in_the_name_of_their_command(capsys: pytest.CaptureFixture[str]) -> None:
+    said = fails(capsys, "predict", "left.png", "right.png", "--verbose")
+    assert said == "stereokit predict: unrecognized arguments: --verbose; see stereokit predict --help\n"
+    assert "in quotes" in fails(capsys, "predict", "a.png", "b.png", "c.png", "--verbose")
+
+
+def test_the_package_runs_as_a_module() -> None:
+    command = [sys.executable, "-m", "stereokit", "list", "costs", "*wise*"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "groupwise_correlation\n"), done.stderr
 
 
 def test_list_and_info(capsys: pytest.CaptureFixture[str], weights: str) -> None:
@@ -157,9 +217,18 @@ def test_list_and_info(capsys: pytest.CaptureFixture[str], weights: str) -> None
     assert "2,721,993" in said
     assert "Hourglass" in said
     assert "max_disparity 64" in run(capsys, "info", weights)[1]
+    expected = "stereokit list: no costs match 'x*'; there are concatenation, correlation, groupwise_correlation\n"
+    assert fails(capsys, "list", "costs", "x*") == expected
     assert "did you mean 'costs'" in fails(capsys, "list", "cost")
     assert "did you mean 'psmnet'" in fails(capsys, "info", "psmnett")
     assert "32 x 32" in fails(capsys, "info", "coex", "--size", 8, 8)
+
+
+def test_a_failed_conversion_leaves_no_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "text.txt").write_text("no checkpoint")
+    assert "text.txt" in fails(capsys, "convert", tmp_path / "text.txt", tmp_path / "my")
+    assert not (tmp_path / "my").exists()
+    assert "it is a file" in fails(capsys, "convert", tmp_path / "text.txt", tmp_path / "text.txt")
 
 
 @needs_shared

@@ -73,8 +73,9 @@ def test_the_semi_global_matcher_goes_through_the_same_door(capsys: pytest.Captu
 
 def test_a_function_of_ones_own_goes_through_the_same_door(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     (here / "my_matcher.py").write_text("def five(left, right):\n    return left[:, :, 0] * 0.0 + 5\n")
-    code, _, _ = run(capsys, "eval", "--model", "my_matcher:five", "--data", "folder:mine", "--limit", 1)
+    code, said, _ = run(capsys, "eval", "--model", "my_matcher:five", "--data", "folder:mine", "--limit", 1)
     assert code == 0
+    assert " 1 image\n" in said
     record = json.loads((here / "evaluation/evaluation.json").read_text())
     assert record["model"] == {"matcher": "callable", "name": "my_matcher.five"}
     assert record["datasets"][0]["metrics"]["epe"] == 0
@@ -84,6 +85,12 @@ def test_a_function_of_ones_own_goes_through_the_same_door(capsys: pytest.Captur
     assert "can't be imported" in fails(
         capsys, "eval", "--model", "nothing_here:f", "--data", "folder:mine", "--out", "o"
     )
+
+
+def test_the_weights_that_a_network_stands_for_are_recorded(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    assert run(capsys, "eval", "--weights", "coex", "--data", "folder:mine", "--limit", 1)[0] == 0
+    record = json.loads((here / "evaluation/evaluation.json").read_text())
+    assert record["model"]["weights"] == "coex.synthetic_v2"
 
 
 def test_report_and_submission(capsys: pytest.CaptureFixture[str], here: Path) -> None:
@@ -128,21 +135,21 @@ def test_nothing_is_overwritten_or_half_done(capsys: pytest.CaptureFixture[str],
         (("--model", "sgbm", "--data", "kitti2015/testing:kitti15"), "has no ground truth, split 'testing'"),
         (("--model", "sgbm", "--submission", "s"), "is for kitti2012 or kitti2015, got folder"),
         (("--model", "sgbm", "--data", "kitti2012:kitti", "--submission", "s"), "takes one data set"),
-        (("--model", "sgbm", "--report", "mine/a/left.png/below"), "can't be made"),
+        (("--model", "sgbm", "--report", "mine/a/left.png/below"), "mine/a/left.png' is a file; choose another"),
     ],
 )
 def test_bad_input_is_one_line(
     capsys: pytest.CaptureFixture[str], here: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     assert message in fails(capsys, "eval", "--data", "folder:mine", *arguments)
-    assert not list(here.glob("evaluation/*"))
+    assert not (here / "evaluation").exists()
 
 
 def test_broken_pairs_are_errors(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     def message() -> str:
         code, out, err = run(capsys, "eval", "--model", "sgbm", "--data", "folder:mine")
         assert (code, out) == (2, "")
-        assert not list(here.glob("evaluation/*"))
+        assert not (here / "evaluation").exists()
         return err.splitlines()[-1]
 
     write_disparity("mine/b/disparity.pfm", np.ones((SIZE[0] - 1, SIZE[1])), overwrite=True)

@@ -97,6 +97,9 @@ def test_it_reads_a_saved_network(tmp_path: Path, coex: Predictor) -> None:
         Predictor(tmp_path / "nowhere")
     with pytest.raises(CheckpointError, match=r"is read by stereokit\.load_published"):
         Predictor(tmp_path / "model.safetensors")
+    (tmp_path / "network.pt2").touch()
+    with pytest.raises(CheckpointError, match=r"torch\.export\.load reads; .* \.onnx or \.xml, or the network itself"):
+        Predictor(tmp_path / "network.pt2")
     with pytest.raises(ConfigError, match="no weights for 'gcnet'"):
         Predictor("gcnet")
     with pytest.raises(ConfigError, match="got NoneType"):
@@ -134,9 +137,9 @@ def test_small_and_unequal_images_are_refused(coex: Predictor) -> None:
 
 
 def test_unknown_and_absent_devices_are_refused() -> None:
-    for device in ("tpu9", "cuda:99"):
+    for device in ("tpu9", "cuda:99", None, 2.5):
         with pytest.raises(ConfigError, match=f"device '{device}' can't be used; 'auto' or 'cpu' would do"):
-            choose_device(device)
+            choose_device(device)  # type: ignore[arg-type]
     assert choose_device("auto").type in {"cpu", "cuda", "mps", "xpu"}
 
 

@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 
 import huggingface_hub
@@ -12,6 +13,7 @@ from torch.testing import assert_close
 from stereokit import (
     CheckpointError,
     ConfigError,
+    Predictor,
     StereoKitError,
     StereoModel,
     TopKSoftArgmin,
@@ -225,15 +227,35 @@ def offline(monkeypatch, tmp_path):
     return {"cache_dir": tmp_path / "cache"}
 
 
-@pytest.mark.parametrize("name", ["somebody/coex", "coex"])
-def test_the_hub_out_of_reach_is_a_plain_error(offline, name):
-    with pytest.raises(CheckpointError, match=f"'{name}' is no folder, and can't be read as a repository of the hub"):
-        StereoModel.from_pretrained(name, **offline)
+def test_the_hub_out_of_reach_is_a_plain_error(offline):
+    expected = "'somebody/coex' is no folder, and can't be read as a repository of the hub"
+    with pytest.raises(CheckpointError, match=expected):
+        StereoModel.from_pretrained("somebody/coex", **offline)
 
 
-def test_a_folder_that_is_not_there_is_a_plain_error(offline, tmp_path):
-    with pytest.raises(CheckpointError, match="nowhere' is no folder"):
-        StereoModel.from_pretrained(tmp_path / "nowhere", **offline)
+@pytest.fixture
+def no_hub(monkeypatch):
+    """The hub must not be asked."""
+
+    def asked(*given, **arguments):
+        raise AssertionError(f"the hub was asked for {given}")
+
+    monkeypatch.setattr("stereokit.pretrained.hf_hub_download", asked)
+
+
+@pytest.mark.parametrize("name", ["coez", "./coex", "../coex", "/coex", "runs/mine/network", "runs/", ""])
+def test_the_hub_is_not_asked_for_what_is_no_repository(no_hub, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CheckpointError, match=f"'{re.escape(name)}' is no folder, and no repository of the hub, owner"):
+        StereoModel.from_pretrained(name)
+
+
+@pytest.mark.parametrize("name", ["coez", "PSMNet", "nofolder", "coex.synthetic_v3", "./nofolder"])
+def test_unknown_names_of_networks_are_not_asked_for_either(no_hub, name):
+    with pytest.raises(CheckpointError, match=f"unknown network '{name}'; .*an exported file would do") as refusal:
+        Predictor(name)
+    assert "Known: coex, coex.synthetic_v2" in str(refusal.value)
+    assert ("did you mean 'coex" in str(refusal.value)) == name.startswith("coe")
 
 
 def test_a_repository_of_the_hub_loads(saved, monkeypatch):

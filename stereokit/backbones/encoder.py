@@ -1,5 +1,6 @@
 """Image encoders from timm, at strides 4 to 32."""
 
+import difflib
 from typing import Any
 
 from torch import Tensor, nn
@@ -105,6 +106,13 @@ def is_timm_model(name: str) -> bool:
     import timm
 
     return bool(timm.is_model(name))
+
+
+def near_timm_models(name: str) -> list[str]:
+    """The names of timm models that look like this one."""
+    import timm
+
+    return difflib.get_close_matches(name, timm.list_models(), n=3, cutoff=0.7)
 
 
 def _create(name: str, **arguments: Any) -> Any:

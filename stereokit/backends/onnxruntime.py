@@ -75,7 +75,7 @@ class OnnxRuntimeBackend(ExportedBackend):
             return torch.device("cuda" if "cuda" in usable and torch.cuda.is_available() else "cpu")
         try:
             chosen = torch.device(device)
-        except RuntimeError:
+        except (RuntimeError, TypeError):
             chosen = None
         if chosen is None or chosen.type not in usable:
             raise ConfigError(

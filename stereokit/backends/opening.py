@@ -12,7 +12,7 @@ from stereokit.backends.estimate import Backend
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.registry import suggest
 
-__all__ = ["BACKENDS", "FILE_BACKENDS", "is_exported", "open_backend"]
+__all__ = ["BACKENDS", "FILE_BACKENDS", "check_no_program", "is_exported", "open_backend"]
 
 TORCH_BACKENDS = {"torch": TorchBackend, "compile": CompiledBackend}
 FILE_BACKENDS = {".onnx": "onnxruntime", ".xml": "openvino"}
@@ -29,6 +29,15 @@ def is_exported(place: object) -> bool:
     (True, False)
     """
     return isinstance(place, str | os.PathLike) and Path(place).suffix.lower() in FILE_BACKENDS
+
+
+def check_no_program(path: str) -> None:
+    """Raises `CheckpointError` for a file with a program of `torch.export`, going by its suffix: no backend runs it."""
+    if Path(path).suffix.lower() == ".pt2" and os.path.isfile(path):
+        raise CheckpointError(
+            f"{path!r} is a program of torch.export, which torch.export.load reads; Predictor takes exported files "
+            f"that end in {' or '.join(FILE_BACKENDS)}, or the network itself"
+        )
 
 
 def open_backend(

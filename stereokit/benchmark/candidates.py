@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor, nn
 
-from stereokit.backends import open_backend
+from stereokit.backends import FILE_BACKENDS, is_exported, open_backend
 from stereokit.backends.compiled import compile_network
 from stereokit.builder import build_model
 from stereokit.errors import CheckpointError, ConfigError
@@ -176,7 +176,7 @@ def source_of(model: str) -> Source:
     Weights do not change the speed: a registered network has random ones.
 
     Raises:
-        ConfigError: there is no such network.
+        ConfigError: there is no such network, or it is an exported file.
         CheckpointError: the checkpoint is none of the published ones.
 
     >>> source_of("coex")(max_disparity=64).max_disparity
@@ -184,6 +184,12 @@ def source_of(model: str) -> Source:
     """
     if Path(model).is_dir():
         return partial(_saved, model)
+    if is_exported(model):
+        backend = FILE_BACKENDS[Path(model).suffix.lower()]
+        raise ConfigError(
+            f"{model!r} is an exported file; stereokit bench NETWORK --backend {backend} exports the network and times "
+            "the file"
+        )
     if Path(model).is_file():
         return partial(_published, model)
     if model in list_weights():

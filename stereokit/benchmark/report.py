@@ -12,6 +12,7 @@ from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError
 from stereokit.evaluation.tables import Table, share
 from stereokit.memory import format_memory
+from stereokit.wording import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -136,7 +137,8 @@ class Benchmark:
         lines = [
             f"{', '.join(common)}; device {self.settings['device']}, "
             f"{self.settings['repeats']} runs after {self.settings['warmup']}, in turns",
-            f"{where}, {self.machine['cores']} cores, {self.machine['torch_threads']} threads, load {load}, "
+            f"{where}, {self.machine['cores']} cores, "
+            f"{counted(self.machine['torch_threads'], 'thread')}, load {load}, "
             f"torch {self.versions.get('torch', NONE)}",
         ]
         if self.budget is not None:

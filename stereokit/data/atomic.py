@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stereokit.errors import InputError
 
-__all__ = ["atomic_path", "make_folder"]
+__all__ = ["atomic_path", "check_folder", "check_free", "make_folder"]
 
 
 @contextmanager
@@ -60,6 +60,27 @@ def make_folder(folder: str | os.PathLike[str]) -> None:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"the folder {os.fspath(folder)!r} can't be made: {error.strerror or error}") from error
+
+
+def check_folder(folder: str | os.PathLike[str]) -> None:
+    """Makes nothing, and finds out whether files could be written into a folder, which may have to be made.
+
+    Raises:
+        InputError: it can't be made, or nothing can be written into it.
+    """
+    wanted = Path(folder).absolute()
+    # the root is always there
+    there = next(place for place in (wanted, *wanted.parents) if os.path.lexists(place))
+    reason = None
+    if not there.is_dir():
+        reason = "is a file" if there.is_file() else "is no folder"
+    elif not os.access(there, os.W_OK | os.X_OK):
+        reason = "may not be written to"
+    if reason is not None:
+        place = "it" if there == wanted else repr(str(there))
+        raise InputError(
+            f"files can't be written into the folder {os.fspath(folder)!r}: {place} {reason}; choose another folder"
+        )
 
 
 def check_free(paths: list[Path], *, overwrite: bool) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stereokit.errors import InputError
+from stereokit.wording import counted
 
 __all__ = ["ImagePair", "match_pairs"]
 
@@ -62,7 +63,9 @@ def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> 
     alone = [str(path) for a, b in ((lefts, rights), (rights, lefts)) for key, path in a.items() if key not in b]
     if alone:
         shown = ", ".join(alone[:5]) + (f" and {len(alone) - 5} more" if len(alone) > 5 else "")
-        raise InputError(f"{len(alone)} images have no partner of the same name on the other side: {shown}")
+        raise InputError(
+            f"{counted(len(alone), 'image')} without a partner of the same name on the other side: {shown}"
+        )
     return [ImagePair(key or lefts[key].stem, lefts[key], rights[key]) for key in sorted(lefts)]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from stereokit.backends import BACKENDS
-from stereokit.data.atomic import check_free, make_folder
+from stereokit.data.atomic import check_folder, check_free
 from stereokit.data.datasets.dataset import StereoEntry
 from stereokit.data.datasets.opening import open_dataset
 from stereokit.errors import ConfigError, InputError
@@ -25,7 +25,7 @@ from stereokit.evaluation.submission import KittiSubmission
 from stereokit.evaluation.tables import format_dataset
 from stereokit.inference import Predictor
 from stereokit.registry import list_models, suggest
-from stereokit.weights import default_weights
+from stereokit.weights import default_weights, named_weights
 
 __all__ = ["add_arguments", "run"]
 
@@ -42,7 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--weights",
-        help="folder of a saved network, published checkpoint, exported file, or a name of stereokit list weights",
+        help="folder of a saved network, published checkpoint, exported file, a name of stereokit list weights, or "
+        "that of a network for its default ones",
     )
     parser.add_argument(
         "--data",
@@ -86,6 +87,10 @@ def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
     Raises:
         StereoKitError: options or data that can't be used; then no result is written.
     """
+    for folder in (options.out, options.report, options.submission):
+        # now rather than after hours of matching
+        if folder is not None:
+            check_folder(folder)
     check_free(result_paths(options.out), overwrite=options.overwrite)
     if len(set(options.data)) < len(options.data):
         raise InputError(f"--data names {', '.join(options.data)}; expected each once")
@@ -104,10 +109,6 @@ def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
         [dataset] = datasets.values()
         observers.append(KittiSubmission(options.submission, dataset, overwrite=options.overwrite))
     matcher = _matcher(options, load_predictor)
-    for folder in (options.out, options.report, options.submission):
-        # now rather than after hours of matching
-        if folder is not None:
-            make_folder(folder)
     evaluation = evaluate(
         matcher,
         datasets,
@@ -148,7 +149,9 @@ def _matcher(options: argparse.Namespace, load_predictor: LoadPredictor) -> Matc
     if name not in list_models():
         raise ConfigError(f"unknown model {name!r}; {suggest(name, [*list_models(), *SGBM_VARIANTS])}")
     _refuse(name, options, "search_range")
-    return NetworkMatcher(load_predictor(options), weights=options.weights or default_weights(name))
+    predictor = load_predictor(options)
+    weights = default_weights(name) if options.weights is None else named_weights(options.weights) or options.weights
+    return NetworkMatcher(predictor, weights=weights)
 
 
 def _refuse(name: str, options: argparse.Namespace, *given: str) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from stereokit.evaluation.results import DatasetResult, PairResult
 from stereokit.metrics import KITTI_METRICS
+from stereokit.wording import counted
 
 __all__ = ["Table", "benchmark_line", "dataset_table", "format_dataset", "notes", "pair_table", "share"]
 
@@ -42,9 +43,9 @@ def dataset_table(result: DatasetResult, taus: Sequence[float]) -> Table:
     for suffix, region in REGION_NAMES.items():
         if f"pixels{suffix}" not in metrics:
             continue
-        for mean, unit in (("", "pixels"), ("_per_image", "images")):
+        for mean, unit in (("", "pixel"), ("_per_image", "image")):
             cells = [_number(metrics[f"{measure}{suffix}{mean}"]) for measure in _measures(taus)]
-            rows.append((f"{region}, per {unit[:-1]}", *cells, f"{metrics[f'{unit}{suffix}']:,} {unit}"))
+            rows.append((f"{region}, per {unit}", *cells, counted(int(metrics[f"{unit}s{suffix}"] or 0), unit)))
     return Table(("pixels, mean", *_headings(taus), "over"), tuple(rows))
 
 
@@ -80,7 +81,8 @@ def notes(result: DatasetResult) -> list[str]:
     if without:
         lines.append(f"{without} of {len(result.pairs)} pairs have no ground truth")
     if metrics["images_without_pixels"]:
-        lines.append(f"{metrics['images_without_pixels']} pairs have ground truth without a pixel that counts")
+        without_pixels = counted(int(metrics["images_without_pixels"]), "pair")
+        lines.append(f"{without_pixels} with ground truth, but without a pixel that counts")
     if len(result.pairs) < result.available:
         lines.append(f"only the first {len(result.pairs)} of {result.available} pairs")
     return lines
@@ -96,8 +98,8 @@ def benchmark_line(result: DatasetResult) -> str:
 
 def format_dataset(result: DatasetResult, taus: Sequence[float]) -> str:
     """A data set's heading, table and notes, as lines of text."""
-    count = f"{len(result.pairs)} pair{'s' if len(result.pairs) != 1 else ''}"
-    heading = f"{result.name}: split {result.split}, {count}, median {result.median_seconds:.3f} s per pair"
+    pairs = counted(len(result.pairs), "pair")
+    heading = f"{result.name}: split {result.split}, {pairs}, median {result.median_seconds:.3f} s per pair"
     table = str(dataset_table(result, taus))
     return "\n".join([heading, *(f"  {line}" for line in [*table.splitlines(), *notes(result)])])
 

@@ -27,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "weights",
         nargs="?",
         metavar="WEIGHTS",
-        help="folder of a saved network, published checkpoint, or a name of stereokit list weights (default: coex's)",
+        help="folder of a saved network, published checkpoint, a name of stereokit list weights, or that of a network "
+        "for its default ones (default: coex's)",
     )
     parser.add_argument("--model", help="name of the network that a published checkpoint is for (default: coex)")
     parser.add_argument("--to", required=True, choices=SUFFIXES, help="ONNX, OpenVINO, or a program of torch.export")

@@ -35,7 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="data set to validate on as it goes; may be given several times",
     )
     parser.add_argument("--textures", metavar="DIR", help="photographs to use in rendered scenes besides patterns")
-    parser.add_argument("--weights", help="network to go on from: folder of a saved one, or published checkpoint")
+    parser.add_argument(
+        "--weights",
+        help="network to go on from: folder of a saved one, published checkpoint, a name of stereokit list weights, or "
+        "that of a network for its default ones",
+    )
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out, if there is one")
     length = parser.add_argument_group("length")
     length.add_argument("--minutes", type=float, help="fit the whole run, and its schedule, into this time")

@@ -6,7 +6,9 @@ from stereokit.weights.shipped import (
     default_weights,
     list_weights,
     load_weights,
+    named_weights,
     read_manifest,
+    suggest_weights,
     weights_folder,
 )
 
@@ -16,6 +18,8 @@ __all__ = [
     "default_weights",
     "list_weights",
     "load_weights",
+    "named_weights",
     "read_manifest",
+    "suggest_weights",
     "weights_folder",
 ]

@@ -1,6 +1,7 @@
 """Weights by name. Other packages add theirs to `WEIGHTS`, as a function that gives the folder."""
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypedDict, cast
@@ -13,7 +14,7 @@ from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.model import StereoModel
 from stereokit.pretrained import WEIGHTS_NAME, load_state
 from stereokit.provenance import file_sha256
-from stereokit.registry import WEIGHTS, suggest
+from stereokit.registry import MODELS, WEIGHTS, suggest
 
 __all__ = [
     "DEFAULTS",
@@ -22,7 +23,9 @@ __all__ = [
     "default_weights",
     "list_weights",
     "load_weights",
+    "named_weights",
     "read_manifest",
+    "suggest_weights",
     "weights_folder",
 ]
 
@@ -88,6 +91,32 @@ def default_weights(network: str) -> str:
     if known:
         raise ConfigError(f"there are several weights for {network!r}; name one of {', '.join(known)}")
     raise ConfigError(f"there are no weights for {network!r}; there are {', '.join(list_weights())}")
+
+
+def named_weights(name: str) -> str | None:
+    """The weights that a name means: its own, or the default ones of a network; None where it is no such name.
+
+    What lies on disk under the name of a network goes before the network.
+
+    Raises:
+        ConfigError: a network without weights, see `default_weights`.
+
+    >>> named_weights("coex"), named_weights("runs/mine")
+    ('coex.synthetic_v2', None)
+    """
+    if name in WEIGHTS:
+        return name
+    return default_weights(name) if name in MODELS and not os.path.exists(name) else None
+
+
+def suggest_weights(name: str) -> str:
+    """The end of an error message about a name that `named_weights` does not know.
+
+    >>> suggest_weights("coex.synthetic_v1")
+    "did you mean 'coex.synthetic_v2'? Known: coex, coex.synthetic_v2"
+    """
+    networks = [network for network in MODELS.names() if network in DEFAULTS or len(list_weights(f"{network}.*")) == 1]
+    return suggest(name, [*networks, *list_weights()])
 
 
 def weights_folder(name: str) -> Path:

@@ -55,8 +55,9 @@ def test_absent_devices_are_refused(suffix, tmp_path):
     path.touch()
     with pytest.raises(ConfigError, match="can't use device 'mps' here; 'auto' or 'cpu'"):
         Predictor(path, "mps")
-    with pytest.raises(ConfigError, match="can't use device 'tpu9' here"):
-        Predictor(path, "tpu9")
+    for device in ("tpu9", None):
+        with pytest.raises(ConfigError, match=f"can't use device '{device}' here"):
+            Predictor(path, device)
 
 
 def test_the_names_are_those_that_the_command_line_offers():

@@ -43,6 +43,8 @@ def test_one_failing_candidate_is_a_row_and_all_are_an_error(capsys: pytest.Capt
     ("arguments", "message"),
     [
         (("coexx",), "did you mean 'coex'"),
+        (("coex.onnx",), "is an exported file; stereokit bench NETWORK --backend onnxruntime"),
+        (("coex.xml",), "is an exported file; stereokit bench NETWORK --backend openvino"),
         (("--backend", "compil"), "did you mean 'compile'"),
         (("--precision", "float61"), "did you mean 'float16'"),
         (("--rival", "sgm"), "did you mean 'sgbm'"),

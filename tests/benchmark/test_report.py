@@ -43,7 +43,7 @@ def test_the_table_shows_what_differs_and_the_heading_what_is_shared() -> None:
     assert table.rows[1][1] == "bfloat16"
     assert table.rows[0][2:] == ("600.0", "690.0", "1.67", "1.00", "600 MiB", "2,721,993", "32.65", "3.00")
     assert "backend eager, size 384 x 1248, batch 1, D 192" in both.heading()
-    assert "load 0.50 to 1.50" in both.heading()
+    assert "2 cores, 1 thread, load 0.50 to 1.50" in both.heading()
 
 
 def test_failures_are_rows_with_their_reason_below() -> None:

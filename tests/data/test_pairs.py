@@ -66,7 +66,10 @@ def test_a_file_whose_name_looks_like_a_pattern_is_a_file(tmp_path: Path) -> Non
 
 def test_images_without_a_partner_are_named(tmp_path: Path) -> None:
     touch(tmp_path / "l/a.png", tmp_path / "l/b.png", tmp_path / "r/a.png", tmp_path / "r/c.png")
-    with pytest.raises(InputError, match=r"2 images have no partner.*b\.png.*c\.png"):
+    with pytest.raises(InputError, match=r"^2 images without a partner.*b\.png.*c\.png"):
+        match_pairs(tmp_path / "l", tmp_path / "r")
+    touch(tmp_path / "l/c.png")
+    with pytest.raises(InputError, match=r"^1 image without a partner.*b\.png"):
         match_pairs(tmp_path / "l", tmp_path / "r")
 
 

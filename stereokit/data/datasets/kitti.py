@@ -8,6 +8,7 @@ are fixed by the number of the frame: it is validation if the number can be divi
 
 import os
 import re
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -63,6 +64,7 @@ def kitti2012(root: PathLike, *, split: str = "training", views: str = "auto") -
         views = "colour" if (folder / "colored_0").is_dir() else "grey"
     left, right = pairs[views]
     cameras = ("2", "3") if views == "colour" else ("0", "1")
+    frames = _reference_frames(folder / left, folder / right, split)
     entries = [
         StereoEntry(
             name=frame,
@@ -74,9 +76,10 @@ def kitti2012(root: PathLike, *, split: str = "training", views: str = "auto") -
                 folder / "calib", f"{frame[:-3]}.txt", partial(read_kitti_calibration, cameras=cameras)
             ),
         )
-        for frame in _reference_frames(folder / left, folder / right, split)
+        for frame in frames[split]
     ]
-    return make_dataset("kitti2012", root, split, entries, expected=[f"{folder.name}/{left}/*_10.png"])
+    expected = [f"{folder.name}/{left}/*_10.png"]
+    return make_dataset("kitti2012", root, split, entries, expected=expected, filled=_filled(frames))
 
 
 @DATASETS.register("kitti2015")
@@ -97,6 +100,7 @@ def kitti2015(root: PathLike, *, split: str = "training") -> StereoDataset:
     """
     root = Path(root)
     folder = _part(root, split, "data_scene_flow")
+    frames = _reference_frames(folder / "image_2", folder / "image_3", split)
     entries = [
         StereoEntry(
             name=frame,
@@ -111,9 +115,10 @@ def kitti2015(root: PathLike, *, split: str = "training") -> StereoDataset:
                 partial(read_kitti_calibration, cameras=("02", "03")),
             ),
         )
-        for frame in _reference_frames(folder / "image_2", folder / "image_3", split)
+        for frame in frames[split]
     ]
-    return make_dataset("kitti2015", root, split, entries, expected=[f"{folder.name}/image_2/*_10.png"])
+    expected = [f"{folder.name}/image_2/*_10.png"]
+    return make_dataset("kitti2015", root, split, entries, expected=expected, filled=_filled(frames))
 
 
 @DATASETS.register("kitti_raw")
@@ -157,12 +162,19 @@ def _part(root: Path, split: str, archive: str) -> Path:
     return first_folder([root / part, root / archive / part]) or root / part
 
 
-def _reference_frames(left: Path, right: Path, split: str) -> list[str]:
-    """The frames that can have ground truth, *_10; the others belong to the flow benchmarks."""
+def _reference_frames(left: Path, right: Path, split: str) -> dict[str, list[str]]:
+    """The frames that can have ground truth, *_10, by split; the others belong to the flow benchmarks."""
     frames = [match[0] for name in image_names(left, right) if (match := _FRAME.match(name))]
-    if split in ("train", "val"):
-        frames = [frame for frame in frames if is_validation_frame(int(frame[:-3])) == (split == "val")]
-    return frames
+    if split == "testing":
+        return {"testing": frames}
+    parts: dict[str, list[str]] = {"training": frames, "train": [], "val": []}
+    for frame in frames:
+        parts["val" if is_validation_frame(int(frame[:-3])) else "train"].append(frame)
+    return parts
+
+
+def _filled(frames: Mapping[str, Sequence[str]]) -> list[str]:
+    return [split for split, names in frames.items() if names]
 
 
 def _read_nonocc(path: Path) -> Mask:

@@ -68,14 +68,33 @@ def check_number(what: str, given: float | str) -> float:
 
 
 def make_dataset(
-    kind: str, root: Path, split: str, entries: Sequence[StereoEntry], *, expected: Sequence[str]
+    kind: str,
+    root: Path,
+    split: str,
+    entries: Sequence[StereoEntry],
+    *,
+    expected: Sequence[str],
+    filled: Sequence[str] = (),
 ) -> StereoDataset:
     """The data set of these entries.
+
+    Args:
+        kind: its name in `DATASETS`.
+        root: where it was looked for.
+        split: which part of it.
+        entries: that were found.
+        expected: files of the kind, for the message where none were found.
+        filled: the splits that have pairs in the same files, where the kind shares them out by rule.
 
     Raises:
         InputError: there are none, and the message shows the tree that was expected and the one that was
             found; or two have one name.
     """
+    if not entries and filled:
+        raise InputError(
+            f"split {split!r} of {kind} is empty in {os.fspath(root)!r}; the pairs there are of split "
+            f"{' or '.join(map(repr, filled))}"
+        )
     if not entries:
         raise InputError(
             f"no pairs of {kind}, split {split!r}, in {os.fspath(root)!r}: "

@@ -64,22 +64,24 @@ def sceneflow(
         root,
         *(path for path in list_folder(root) if path.name.lower().startswith(_PARTS) and path.is_dir()),
     ]
-    entries = [
-        entry
+    found = [
+        (found_split, entry)
         for base in bases
         for found_part, found_split, entry in (
             *_frames(root, base, image_pass),
             *_subset(root, base, image_pass),
         )
-        if part in ("all", found_part) and split in ("all", found_split)
+        if part in ("all", found_part)
     ]
+    entries = [entry for found_split, entry in found if split in ("all", found_split)]
+    filled = sorted({found_split for found_split, _ in found})
     if not entries and part == "all":
         entries = list(_flat(root))
     expected = [
         f"frames_{image_pass}/TEST/A/0000/left/*.png with disparity/",
         "left/ with right/ and disparity/left/",
     ]
-    return make_dataset("sceneflow", root, split, entries, expected=expected)
+    return make_dataset("sceneflow", root, split, entries, expected=expected, filled=filled)
 
 
 def read_sceneflow_disparity(path: PathLike) -> Disparity:

@@ -13,6 +13,7 @@ from stereokit.data.images import write_image
 from stereokit.data.pfm import write_pfm
 from stereokit.data.synthetic.dataset import SyntheticScenes
 from stereokit.errors import InputError
+from stereokit.wording import counted
 
 __all__ = ["run_synth", "write_scenes"]
 
@@ -77,4 +78,4 @@ def run_synth(options: argparse.Namespace) -> None:
     )
     write_scenes(scenes, options.out, split=options.split, progress=lambda numbers: tqdm(numbers, unit="pair"))
     kind = "sceneflow" if options.split == "test" else "sceneflow/train"
-    print(f"wrote {len(scenes)} pairs; read them as {kind}:{options.out}")
+    print(f"wrote {counted(len(scenes), 'pair')}; to be read as {kind}:{options.out}")

@@ -112,6 +112,16 @@ def test_other_trees_and_splits(tmp_path):
         kitti_raw(tmp_path)
 
 
+@pytest.mark.parametrize(("kind", "tree"), [(kitti2012, trees.kitti2012), (kitti2015, trees.kitti2015)])
+def test_an_empty_split_names_those_with_pairs(tmp_path, kind, tree):
+    tree(tmp_path / "a", [3, 4])
+    with pytest.raises(InputError, match=r"split 'val' of kitti201\d is empty in .*of split 'training' or 'train'$"):
+        kind(tmp_path / "a", split="val")
+    tree(tmp_path / "b", [10])
+    with pytest.raises(InputError, match=r"split 'train' of .* of split 'training' or 'val'$"):
+        kind(tmp_path / "b", split="train")
+
+
 @needs_shared
 def test_real_kitti2012():
     dataset = kitti2012(SHARED / "data" / "real" / "kitti2012")

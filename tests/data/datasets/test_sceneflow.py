@@ -53,6 +53,13 @@ def test_layouts(tmp_path, layout):
     ]
 
 
+def test_an_empty_split_names_those_with_pairs(tmp_path):
+    write(tmp_path / "frames_finalpass", tmp_path / "disparity", ["TEST/A/0000"])
+    assert len(sceneflow(tmp_path)) == 1
+    with pytest.raises(InputError, match=r"split 'train' of sceneflow is empty in .*of split 'test'$"):
+        sceneflow(tmp_path, split="train")
+
+
 def test_passes_are_kept_apart(tmp_path):
     as_many_projects_keep_it(tmp_path)
     write(tmp_path / "frames_cleanpass", tmp_path / "other", THINGS[:1])

@@ -12,7 +12,7 @@ OPTIONS = ["--count", "3", "--seed", "3", "--size", "40", "64", "--max-disparity
 
 def test_what_is_written_is_read_back(tmp_path, capsys):
     assert main(["synth", *OPTIONS, "--out", str(tmp_path / "new" / "scenes")]) == 0
-    assert "wrote 3 pairs; read them as sceneflow:" in capsys.readouterr().out
+    assert "wrote 3 pairs; to be read as sceneflow:" in capsys.readouterr().out
     dataset = open_dataset(f"sceneflow:{tmp_path / 'new' / 'scenes'}")
     scenes = SyntheticScenes(seed=3, size=(40, 64), max_disparity=16, count=3)
     assert len(dataset) == 3
