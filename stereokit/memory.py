@@ -75,7 +75,8 @@ def estimate_memory(
             name: fake.from_tensor(tensor) for name, tensor in (*model.named_parameters(), *model.named_buffers())
         }
         where = next((tensor.device for tensor in weights.values()), torch.device("cpu"))
-        with fake, torch.no_grad(), _LiveBytes() as memory:
+        # convolutions are counted as one operation, which inference mode would show in other ones
+        with torch.inference_mode(False), fake, torch.no_grad(), _LiveBytes() as memory:
             left, right = (torch.empty(batch, 3, height, width, dtype=dtype, device=where) for _ in range(2))
             functional_call(model, weights, (left, right))
     except Exception as error:

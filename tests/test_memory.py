@@ -48,6 +48,14 @@ def test_every_network_can_be_estimated_and_stays_as_it_was(name: str) -> None:
     assert type(next(model.parameters())) is nn.Parameter
 
 
+def test_the_estimate_does_not_hang_on_the_mode() -> None:
+    model = build_model("coex", max_disparity=64).eval()
+    expected = estimate_memory(model, 128, 256)
+    with torch.inference_mode():
+        assert estimate_memory(model, 128, 256) == expected
+        assert estimate_memory(build_model("coex", max_disparity=64).eval(), 128, 256) == expected
+
+
 def test_a_network_that_reads_values_is_refused() -> None:
     class Curious(nn.Module):
         def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
