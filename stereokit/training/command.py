@@ -72,6 +72,7 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         validation=options.validate,
         textures=options.textures,
         model=None if options.weights is None else load_network(options).train(),
+        weights=options.weights,
         seed=options.seed,
         minutes=options.minutes,
         resume=options.resume,

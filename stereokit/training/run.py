@@ -75,6 +75,7 @@ def train(
     validation: Sequence[str] = (),
     textures: str | Path | None = None,
     model: StereoModel | None = None,
+    weights: str | None = None,
     seed: int = 0,
     minutes: float | None = None,
     resume: bool = False,
@@ -104,6 +105,7 @@ def train(
         validation: data sets to validate on; without any, a recipe for rendered scenes renders some of another seed.
         textures: folder of photographs that rendered scenes use besides procedural textures.
         model: a network to go on from, in place of the recipe's own with random weights.
+        weights: name of the weights of `model`, for the line that says what the run starts from.
         seed: of weights, order, augmentation and scenes.
         minutes: wall-clock time for the whole run: the schedule is fitted into it. The steps of the recipe are still
             the most.
@@ -126,6 +128,12 @@ def train(
     """
     out = Path(out)
     _check_counts(workers=workers, checkpoint_every=checkpoint_every, validate_every=validate_every, minutes=minutes)
+    if recipe.from_weights and model is None:
+        raise ConfigError(
+            f"recipe {recipe.name!r} goes on from a trained {recipe.model['name']}: give --weights with a saved network, "
+            "a published checkpoint or a name of stereokit list weights; from_weights = false in a recipe of one's own "
+            "trains from random weights"
+        )
     samples, validation_sets = _open(recipe, data, validation, textures, seed)
     steps = recipe.schedule.total_steps(samples.pairs)
     asked = {
@@ -141,6 +149,13 @@ def train(
         _check_checkpoint(last, steps)
     if _is_first_process():
         _prepare_folder(out, asked, resume=resume, command=command)
+        if goes_on:
+            print(f"goes on with the run in {out}")
+        elif model is not None:
+            print(f"starts from the weights {weights or 'of the given network'}")
+        else:
+            encoder = ", the encoder from ImageNet's" if recipe.model.get("pretrained_backbone") else ""
+            print(f"starts from random weights{encoder}")
 
     seed_everything(seed, verbose=False)
     network = model if model is not None else _new_network(recipe)

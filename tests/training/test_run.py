@@ -33,8 +33,9 @@ def _few_validation_scenes(monkeypatch):
     monkeypatch.setattr("stereokit.training.run.VALIDATION_SCENES", 2)
 
 
-def test_a_run_leaves_a_network_with_its_record(tmp_path):
+def test_a_run_leaves_a_network_with_its_record(tmp_path, capsys):
     outcome = train(TINY, tmp_path / "run", checkpoint_every=4, validate_every=3, **CPU)
+    assert capsys.readouterr().out.startswith("starts from random weights\n")
     assert outcome.record["steps"] == 6
     assert outcome.record["pairs_seen"] == 12
     assert set(outcome.record["validation"]) >= {"validation/bad_3", "synthetic/epe"}
@@ -137,6 +138,15 @@ def test_settings_that_do_not_go_together(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize("name", ["kitti-finetune", "psmnet-kitti"])
+def test_a_recipe_for_fine_tuning_wants_weights(tmp_path, name, capsys):
+    data = ["--data", f"kitti2015/train:{tmp_path}"]
+    assert main(["train", "--recipe", name, *data, "--out", str(tmp_path / "run")]) == 2
+    assert "goes on from a trained" in (said := capsys.readouterr().err)
+    assert "give --weights" in said
+    assert not (tmp_path / "run").exists()
+
+
 def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
     write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=3), tmp_path / "data", split="train")
     start = build_model("coex", max_disparity=32)
@@ -151,6 +161,7 @@ def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
     arguments += ["--out", str(tmp_path / "run"), "--data", data, "--workers", "0"]
     assert main([*arguments, "--validate", data]) == 0
     printed = capsys.readouterr().out
+    assert f"starts from the weights {tmp_path / 'start'}\n" in printed
     assert "2 steps, 4 pairs" in printed
     assert "sceneflow/train/bad_3" in printed
     trained = StereoModel.from_pretrained(tmp_path / "run" / "network")
