@@ -38,7 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--weights", help="network to go on from: folder of a saved one, or published checkpoint")
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out, if there is one")
     length = parser.add_argument_group("length")
-    length.add_argument("--minutes", type=float, help="fit the whole run, and its schedule, into this time")
+    length.add_argument(
+        "--minutes",
+        type=float,
+        help="fit schedule and steps into this time, with the last validation (without starting up)",
+    )
     length.add_argument("--steps", type=int, help="of the optimiser (default: the recipe's)")
     length.add_argument("--batch", type=int, help="pairs a step, over all devices (default: the recipe's)")
     parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")

@@ -1,15 +1,16 @@
 """A training run, from a recipe to a saved network."""
 
 import json
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from lightning.pytorch import LightningModule, Trainer, seed_everything
-from lightning.pytorch.callbacks import Callback, Checkpoint, ModelCheckpoint
+from lightning.pytorch.callbacks import Callback, Checkpoint, ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
 
@@ -47,6 +48,23 @@ class Outcome:
     model: StereoModel
     network: Path
     record: Mapping[str, Any]
+
+
+class _ProgressBar(TQDMProgressBar):
+    """Steps of the run; where minutes end it, nobody knows how many, and the minutes are shown."""
+
+    @property
+    def total_train_batches(self) -> int | float:
+        training = cast(StereoTraining, self.trainer.lightning_module)
+        return training.steps if training.minutes is None else math.inf
+
+    def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
+        training = cast(StereoTraining, pl_module)
+        metrics = super().get_metrics(trainer, pl_module)
+        metrics.pop("v_num", None)
+        if training.minutes is None:
+            return metrics
+        return {"minutes": f"{training.seconds / 60:.1f} of {training.minutes:g}", **metrics}
 
 
 class _LastCheckpoint(Checkpoint):
@@ -107,8 +125,9 @@ def train(
         model: a network to go on from, in place of the recipe's own with random weights.
         weights: name of the weights of `model`, for the line that says what the run starts from.
         seed: of weights, order, augmentation and scenes.
-        minutes: wall-clock time for the whole run: the schedule is fitted into it. The steps of the recipe are still
-            the most.
+        minutes: wall-clock time from the first step to the end of the last validation, over all resumptions: the
+            schedule is fitted into it. Time for the validation is kept by what the one before took, or else by what
+            the steps take; it is half of the minutes at most. The steps of the recipe are still the most.
         resume: go on with the run that the folder holds; if it holds none yet, start it.
         accelerator: "auto", "cpu", "gpu", .., as in `lightning.pytorch.Trainer`.
         devices: how many on each machine, or "auto".
@@ -127,12 +146,14 @@ def train(
         TrainingError: losses stay infinite or NaN.
     """
     out = Path(out)
-    _check_counts(workers=workers, checkpoint_every=checkpoint_every, validate_every=validate_every, minutes=minutes)
+    _check_counts(workers=workers, checkpoint_every=checkpoint_every, validate_every=validate_every)
+    if minutes is not None and not minutes > 0:
+        raise ConfigError(f"minutes is {minutes}; expected more than 0")
     if recipe.from_weights and model is None:
         raise ConfigError(
-            f"recipe {recipe.name!r} goes on from a trained {recipe.model['name']}: give --weights with a saved network, "
-            "a published checkpoint or a name of stereokit list weights; from_weights = false in a recipe of one's own "
-            "trains from random weights"
+            f"recipe {recipe.name!r} goes on from a trained {recipe.model['name']}: give --weights with a saved "
+            "network, a published checkpoint or a name of stereokit list weights; from_weights = false in a recipe of "
+            "one's own trains from random weights"
         )
     samples, validation_sets = _open(recipe, data, validation, textures, seed)
     steps = recipe.schedule.total_steps(samples.pairs)
@@ -162,7 +183,7 @@ def train(
     training = StereoTraining(
         network, recipe, steps=steps, minutes=minutes, validation=tuple(validation_sets), compile=compile
     )
-    callbacks: list[Callback] = [_LastCheckpoint(last, checkpoint_every)]
+    callbacks: list[Callback] = [_ProgressBar(), _LastCheckpoint(last, checkpoint_every)]
     if recipe.averaging.kind != "none":
         callbacks.append(AveragedWeights(recipe.averaging, lambda: training.progress))
     if validation_sets:
@@ -204,7 +225,6 @@ def train(
         trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
         if trainer.interrupted:
             raise KeyboardInterrupt
-        metrics = trainer.validate(training, loaders, verbose=False) if validation_sets else []
     network.cpu().eval()
     record = {
         **asked,
@@ -213,7 +233,7 @@ def train(
         "broken_steps": training.broken_steps,
         "seconds": round(training.seconds, 1),
         "weights_sha256": state_sha256(network.state_dict()),
-        "validation": {key: value for found in metrics for key, value in found.items()},
+        "validation": training.errors,
         **_circumstances(command),
     }
     if _is_first_process():
@@ -315,10 +335,10 @@ def _write_json(path: Path, values: Mapping[str, Any]) -> None:
         temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
 
 
-def _check_counts(**values: float | None) -> None:
+def _check_counts(**values: int | None) -> None:
     for name, value in values.items():
         least = 0 if name == "workers" else 1
-        if value is not None and (value < least or (name == "minutes" and value <= 0)):
+        if value is not None and value < least:
             raise ConfigError(f"{name} is {value}; expected at least {least}")
 
 

@@ -35,7 +35,9 @@ def _few_validation_scenes(monkeypatch):
 
 def test_a_run_leaves_a_network_with_its_record(tmp_path, capsys):
     outcome = train(TINY, tmp_path / "run", checkpoint_every=4, validate_every=3, **CPU)
-    assert capsys.readouterr().out.startswith("starts from random weights\n")
+    printed = capsys.readouterr().out
+    assert printed.startswith("starts from random weights\n")
+    assert "6/6 [" in printed
     assert outcome.record["steps"] == 6
     assert outcome.record["pairs_seen"] == 12
     assert set(outcome.record["validation"]) >= {"validation/bad_3", "synthetic/epe"}
@@ -58,6 +60,17 @@ def test_a_run_leaves_a_network_with_its_record(tmp_path, capsys):
     assert json.loads((outcome.network / "training.json").read_text())["recipe"]["name"] == "tiny"
     scene = SyntheticScenes(size=(48, 80), max_disparity=16)[0]
     assert Predictor(outcome.network)(scene.left, scene.right).size == (48, 80)
+
+
+@pytest.mark.parametrize("length", [{"minutes": 1e-3}, {}])
+def test_the_end_is_validated_once(tmp_path, monkeypatch, capsys, length):
+    ends = []
+    monkeypatch.setattr(StereoTraining, "on_validation_end", lambda self: ends.append(self.trainer.global_step))
+    outcome = train(TINY, tmp_path, validate_every=5, **length, **CPU)
+    assert ends[-1] == outcome.record["steps"]
+    assert len(set(ends)) == len(ends)
+    assert outcome.record["validation"]["validation/bad_3"] == outcome.record["validation"]["synthetic/bad_3"]
+    assert ("minutes=" in capsys.readouterr().out) == bool(length)
 
 
 ENDLESS = """
