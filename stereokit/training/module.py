@@ -219,6 +219,7 @@ class StereoTraining(LightningModule):
             "seconds": self.seconds,
             "pairs_seen": self.pairs_seen,
             "broken_steps": self.broken_steps,
+            "ended_by_minutes": self.minutes if self.trainer.should_stop else None,
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:

@@ -1,7 +1,6 @@
 """A training run, from a recipe to a saved network."""
 
 import json
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,8 +10,10 @@ from typing import Any, cast
 import torch
 from lightning.pytorch import LightningModule, Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, Checkpoint, ModelCheckpoint, TQDMProgressBar
+from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from stereokit.builder import build_model
 from stereokit.data.atomic import atomic_path, make_folder
@@ -51,12 +52,17 @@ class Outcome:
 
 
 class _ProgressBar(TQDMProgressBar):
-    """Steps of the run; where minutes end it, nobody knows how many, and the minutes are shown."""
+    """Shows steps of the whole run; where minutes end it, it promises no number of steps and shows minutes."""
 
     @property
     def total_train_batches(self) -> int | float:
-        training = cast(StereoTraining, self.trainer.lightning_module)
-        return training.steps if training.minutes is None else math.inf
+        return cast(StereoTraining, self.trainer.lightning_module).steps
+
+    def init_train_tqdm(self) -> Tqdm:
+        bar = super().init_train_tqdm()
+        if cast(StereoTraining, self.trainer.lightning_module).minutes is not None:
+            bar.bar_format = "{desc}{n_fmt} [{elapsed}, {rate_noinv_fmt}{postfix}]"
+        return bar
 
     def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
         training = cast(StereoTraining, pl_module)
@@ -68,20 +74,23 @@ class _ProgressBar(TQDMProgressBar):
 
 
 class _LastCheckpoint(Checkpoint):
-    """Writes the state of the run to one file every so many steps.
+    """Writes the state of the run to one file every so many steps, and behind the last one to a file of its own.
 
-    Not behind the last one: Lightning would not go on from there with a run that is made longer.
+    `train` puts that one in the other's place when the network is saved: a run that is killed before still has its end
+    to come.
     """
 
     def __init__(self, path: Path, every: int) -> None:
         self.path = path
+        self.end = path.with_name("end.ckpt")
         self.every = every
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        over = trainer.should_stop or trainer.global_step >= trainer.max_steps
-        if not over and trainer.global_step % self.every == 0:
+        if trainer.should_stop:
+            trainer.save_checkpoint(self.end)
+        elif trainer.global_step % self.every == 0:
             trainer.save_checkpoint(self.path)
 
 
@@ -141,7 +150,8 @@ def train(
 
     Raises:
         InputError: data that can't be used, or a folder that holds a run already.
-        ConfigError: settings that do not go together, or other ones than those of the run to resume.
+        ConfigError: settings that do not go together, that the machine does not have, or other ones than those of the
+            run to resume.
         CheckpointError: the checkpoint can't be read.
         TrainingError: losses stay infinite or NaN.
     """
@@ -167,7 +177,49 @@ def train(
     last = out / "checkpoints" / "last.ckpt"
     goes_on = resume and last.is_file()
     if goes_on:
-        _check_checkpoint(last, steps)
+        _check_checkpoint(last, steps, minutes)
+
+    seed_everything(seed, verbose=False)
+    network = model if model is not None else _new_network(recipe)
+    training = StereoTraining(
+        network, recipe, steps=steps, minutes=minutes, validation=tuple(validation_sets), compile=compile
+    )
+    checkpoint = _LastCheckpoint(last, checkpoint_every)
+    callbacks: list[Callback] = [_ProgressBar(), checkpoint]
+    if recipe.averaging.kind != "none":
+        callbacks.append(AveragedWeights(recipe.averaging, lambda: training.progress))
+    if validation_sets:
+        callbacks += [
+            ValidationPictures(out / "pictures", tuple(validation_sets)),
+            ModelCheckpoint(last.parent, "best", monitor="validation/bad_3", enable_version_counter=False),
+        ]
+    processes = devices if isinstance(devices, int) else 1
+    try:
+        trainer = Trainer(
+            accelerator=accelerator,
+            devices=devices,
+            num_nodes=nodes,
+            strategy="ddp" if processes * nodes > 1 else "auto",
+            precision=precision,  # type: ignore[arg-type]
+            sync_batchnorm=processes * nodes > 1 and torch.cuda.is_available() and accelerator != "cpu",
+            max_steps=steps,
+            max_epochs=1,
+            gradient_clip_val=recipe.optimisation.gradient_clip,
+            val_check_interval=min(validate_every, steps) if validation_sets else None,
+            check_val_every_n_epoch=None,
+            num_sanity_val_steps=0,
+            use_distributed_sampler=False,
+            log_every_n_steps=min(20, steps),
+            callbacks=callbacks,
+            logger=[CSVLogger(out / "logs", "csv"), TensorBoardLogger(out / "logs", "tensorboard")],
+            default_root_dir=out,
+            enable_model_summary=False,
+        )
+    except (MisconfigurationException, ValueError, ImportError) as error:
+        raise ConfigError(
+            f"this machine does not train on accelerator {accelerator!r}, devices {devices!r} with precision "
+            f"{precision!r}: {' '.join(str(error).split())}"
+        ) from error
     if _is_first_process():
         _prepare_folder(out, asked, resume=resume, command=command)
         if goes_on:
@@ -177,41 +229,6 @@ def train(
         else:
             encoder = ", the encoder from ImageNet's" if recipe.model.get("pretrained_backbone") else ""
             print(f"starts from random weights{encoder}")
-
-    seed_everything(seed, verbose=False)
-    network = model if model is not None else _new_network(recipe)
-    training = StereoTraining(
-        network, recipe, steps=steps, minutes=minutes, validation=tuple(validation_sets), compile=compile
-    )
-    callbacks: list[Callback] = [_ProgressBar(), _LastCheckpoint(last, checkpoint_every)]
-    if recipe.averaging.kind != "none":
-        callbacks.append(AveragedWeights(recipe.averaging, lambda: training.progress))
-    if validation_sets:
-        callbacks += [
-            ValidationPictures(out / "pictures", tuple(validation_sets)),
-            ModelCheckpoint(last.parent, "best", monitor="validation/bad_3", enable_version_counter=False),
-        ]
-    processes = devices if isinstance(devices, int) else 1
-    trainer = Trainer(
-        accelerator=accelerator,
-        devices=devices,
-        num_nodes=nodes,
-        strategy="ddp" if processes * nodes > 1 else "auto",
-        precision=precision,  # type: ignore[arg-type]
-        sync_batchnorm=processes * nodes > 1 and torch.cuda.is_available() and accelerator != "cpu",
-        max_steps=steps,
-        max_epochs=1,
-        gradient_clip_val=recipe.optimisation.gradient_clip,
-        val_check_interval=min(validate_every, steps) if validation_sets else None,
-        check_val_every_n_epoch=None,
-        num_sanity_val_steps=0,
-        use_distributed_sampler=False,
-        log_every_n_steps=min(20, steps),
-        callbacks=callbacks,
-        logger=[CSVLogger(out / "logs", "csv"), TensorBoardLogger(out / "logs", "tensorboard")],
-        default_root_dir=out,
-        enable_model_summary=False,
-    )
     loaders = StereoData(
         samples,
         batch=recipe.schedule.batch,
@@ -239,6 +256,7 @@ def train(
     if _is_first_process():
         network.save_pretrained(out / "network")
         _write_json(out / "network" / "training.json", record)
+        checkpoint.end.replace(last)
     return Outcome(network, out / "network", record)
 
 
@@ -303,15 +321,20 @@ def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: 
             )
 
 
-def _check_checkpoint(path: Path, steps: int) -> None:
+def _check_checkpoint(path: Path, steps: int, minutes: float | None) -> None:
     try:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # the reader of a damaged file may stumble over anything
         raise CheckpointError(f"the checkpoint {str(path)!r} can't be read: {error}") from error
     if not isinstance(checkpoint, dict) or "stereokit" not in checkpoint:
         raise CheckpointError(f"{str(path)!r} is no checkpoint of stereokit train")
-    if checkpoint["global_step"] >= steps:
-        raise ConfigError(f"{str(path)!r} is at step {checkpoint['global_step']} already; a run of {steps} is over")
+    done, ended_by = checkpoint["global_step"], checkpoint["stereokit"].get("ended_by_minutes")
+    if done >= steps or (minutes is not None and ended_by is not None and minutes <= ended_by):
+        length = f"{steps} steps" if done >= steps else f"{minutes:g} minutes"
+        raise ConfigError(
+            f"the run in {str(path.parents[1])!r} is finished: it is at step {done}, and {length} were asked for; "
+            "a larger --steps or --minutes makes it longer"
+        )
 
 
 def _settled(run: Mapping[str, Any]) -> dict[str, Any]:

@@ -113,11 +113,39 @@ def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
 
 def test_a_finished_run_can_be_made_longer(tmp_path):
     train(with_length(TINY, steps=4), tmp_path, checkpoint_every=2, **CPU)
-    longer = train(with_length(TINY, steps=5), tmp_path, resume=True, checkpoint_every=2, **CPU)
-    assert longer.record["steps"] == 5
-    assert longer.record["pairs_seen"] == 10
-    with pytest.raises(ConfigError, match="is at step 4 already; a run of 3 is over"):
+    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt", "best.ckpt"}
+    with pytest.raises(ConfigError, match="is finished: it is at step 4, and 4 steps were asked for"):
+        train(with_length(TINY, steps=4), tmp_path, resume=True, **CPU)
+    longer = train(with_length(TINY, steps=6), tmp_path, resume=True, checkpoint_every=4, **CPU)
+    assert longer.record["steps"] == 6
+    assert longer.record["pairs_seen"] == 12
+    with pytest.raises(ConfigError, match="is finished: it is at step 6, and 3 steps were asked for"):
         train(with_length(TINY, steps=3), tmp_path, resume=True, **CPU)
+
+
+def test_a_run_that_its_minutes_ended_goes_on_with_more_of_them(tmp_path):
+    steps = train(TINY, tmp_path, minutes=1e-3, **CPU).record["steps"]
+    assert steps < 6
+    with pytest.raises(ConfigError, match=rf"is finished: it is at step {steps}, and 0.001 minutes were asked for"):
+        train(TINY, tmp_path, minutes=1e-3, resume=True, **CPU)
+    assert train(TINY, tmp_path, minutes=60, resume=True, **CPU).record["pairs_seen"] == 12
+
+
+class Killed(BaseException):
+    pass
+
+
+def test_a_run_that_is_killed_in_its_last_validation_still_has_its_end_to_come(tmp_path, monkeypatch):
+    def kill(self):
+        raise Killed
+
+    with monkeypatch.context() as patched:
+        patched.setattr(StereoTraining, "on_validation_epoch_end", kill)
+        with pytest.raises(Killed):
+            train(TINY, tmp_path, checkpoint_every=4, **CPU)
+    outcome = train(TINY, tmp_path, resume=True, checkpoint_every=4, **CPU)
+    assert (outcome.record["steps"], outcome.record["pairs_seen"]) == (6, 12)
+    assert outcome.record["validation"]
 
 
 def test_only_the_run_that_is_there_is_resumed(tmp_path):
@@ -189,6 +217,21 @@ def test_the_command_explains(tmp_path, capsys):
     assert "--devices is a number of devices, or auto" in capsys.readouterr().err
     assert main(["train", "--recipe", "sceneflow", "--out", str(tmp_path / "run")]) == 2
     assert "give --data sceneflow/train:ROOT" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"accelerator": "tpu"}, "accelerator 'tpu'"),
+        ({"accelerator": "abacus"}, "accelerator 'abacus'"),
+        ({"precision": "31"}, "precision '31'.*bf16-mixed"),
+    ],
+)
+def test_what_the_machine_does_not_have_is_one_line(tmp_path, given, words, capsys):
+    with pytest.raises(ConfigError, match=words) as caught:
+        train(TINY, tmp_path / "run", **{**CPU, **given})
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
 
 
 class Gradients(Callback):
