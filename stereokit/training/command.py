@@ -95,8 +95,13 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         f"{record['steps']} steps, {record['pairs_seen']} pairs, {record['seconds'] / 60:.1f} minutes; "
         f"wrote {outcome.network}"
     )
-    for name, value in record["validation"].items():
-        print(f"{name}: {value:.3f}")
+    errors = record["validation"]
+    sets = {name.rpartition("/")[0] for name in errors} - {"validation"}
+    for name, value in errors.items():
+        mean = name.startswith("validation/")
+        # of a single set the mean says nothing new
+        if not mean or len(sets) > 1:
+            print(f"{name}: {value:.3f}{' (mean over the sets)' if mean else ''}")
 
 
 def _devices(given: str) -> int | str:

@@ -1,8 +1,10 @@
 """A training run, from a recipe to a saved network."""
 
 import json
+import logging
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -195,26 +197,28 @@ def train(
         ]
     processes = devices if isinstance(devices, int) else 1
     try:
-        trainer = Trainer(
-            accelerator=accelerator,
-            devices=devices,
-            num_nodes=nodes,
-            strategy="ddp" if processes * nodes > 1 else "auto",
-            precision=precision,  # type: ignore[arg-type]
-            sync_batchnorm=processes * nodes > 1 and torch.cuda.is_available() and accelerator != "cpu",
-            max_steps=steps,
-            max_epochs=1,
-            gradient_clip_val=recipe.optimisation.gradient_clip,
-            val_check_interval=min(validate_every, steps) if validation_sets else None,
-            check_val_every_n_epoch=None,
-            num_sanity_val_steps=0,
-            use_distributed_sampler=False,
-            log_every_n_steps=min(20, steps),
-            callbacks=callbacks,
-            logger=[CSVLogger(out / "logs", "csv"), TensorBoardLogger(out / "logs", "tensorboard")],
-            default_root_dir=out,
-            enable_model_summary=False,
-        )
+        with _without_noise():
+            trainer = Trainer(
+                accelerator=accelerator,
+                devices=devices,
+                num_nodes=nodes,
+                strategy="ddp" if processes * nodes > 1 else "auto",
+                precision=precision,  # type: ignore[arg-type]
+                sync_batchnorm=processes * nodes > 1 and torch.cuda.is_available() and accelerator != "cpu",
+                max_steps=steps,
+                max_epochs=1,
+                gradient_clip_val=recipe.optimisation.gradient_clip,
+                val_check_interval=min(validate_every, steps),
+                limit_val_batches=None if validation_sets else 0,
+                check_val_every_n_epoch=None,
+                num_sanity_val_steps=0,
+                use_distributed_sampler=False,
+                log_every_n_steps=min(20, steps),
+                callbacks=callbacks,
+                logger=[CSVLogger(out / "logs", "csv"), TensorBoardLogger(out / "logs", "tensorboard")],
+                default_root_dir=out,
+                enable_model_summary=False,
+            )
     except (MisconfigurationException, ValueError, ImportError) as error:
         raise ConfigError(
             f"this machine does not train on accelerator {accelerator!r}, devices {devices!r} with precision "
@@ -236,12 +240,10 @@ def train(
         validation=validation_sets,
         workers=usual_workers(processes) if workers is None else workers,
     )
-    with warnings.catch_warnings():
-        # a CPU's few cores are shared between network and loaders on purpose
-        warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+    with _without_noise():
         trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
-        if trainer.interrupted:
-            raise KeyboardInterrupt
+    if trainer.interrupted:
+        raise KeyboardInterrupt
     network.cpu().eval()
     record = {
         **asked,
@@ -258,6 +260,24 @@ def train(
         _write_json(out / "network" / "training.json", record)
         checkpoint.end.replace(last)
     return Outcome(network, out / "network", record)
+
+
+@contextmanager
+def _without_noise() -> Iterator[None]:
+    """Leaves out what Lightning says of its own insides, of products, and of what was meant so."""
+    logger = logging.getLogger("lightning.pytorch")
+    level = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            # a CPU's few cores are shared between network and loaders on purpose
+            warnings.filterwarnings("ignore", message=".*does not have many workers")
+            warnings.filterwarnings("ignore", message=".*LeafSpec.*is deprecated")
+            # a run that goes on writes where it wrote
+            warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 def _open(

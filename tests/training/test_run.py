@@ -199,15 +199,47 @@ def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
     )
     data = f"sceneflow/train:{tmp_path / 'data'}"
     arguments = ["train", "--recipe", str(recipe), "--weights", str(tmp_path / "start"), "--accelerator", "cpu"]
-    arguments += ["--out", str(tmp_path / "run"), "--data", data, "--workers", "0"]
-    assert main([*arguments, "--validate", data]) == 0
+    arguments += ["--data", data, "--workers", "0"]
+    assert main([*arguments, "--out", str(tmp_path / "run"), "--validate", data]) == 0
     printed = capsys.readouterr().out
+    assert "\nvalidation/bad_3" not in printed
     assert f"starts from the weights {tmp_path / 'start'}\n" in printed
     assert "2 steps, 4 pairs" in printed
     assert "sceneflow/train/bad_3" in printed
     trained = StereoModel.from_pretrained(tmp_path / "run" / "network")
     for key, value in start.named_parameters():
         torch.testing.assert_close(trained.get_parameter(key), value, rtol=0, atol=1e-7)
+
+
+def test_several_validation_sets_have_a_mean(tmp_path, capsys):
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    recipe = tmp_path / "mine.toml"
+    recipe.write_text(
+        '[model]\nname = "coex"\nmax_disparity = 32\n[augmentation]\ncrop_height = 32\ncrop_width = 64\n'
+        "[schedule]\nbatch = 2\nepochs = 1\n"
+    )
+    data = f"sceneflow/train:{tmp_path / 'data'}"
+    arguments = ["train", "--recipe", str(recipe), "--out", str(tmp_path / "run"), "--accelerator", "cpu"]
+    assert main([*arguments, "--data", data, "--workers", "0", "--validate", data, "--validate", data]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in printed[-6:]] == [
+        f"{name}/{metric}"
+        for name in ("sceneflow/train", "sceneflow/train_1", "validation")
+        for metric in ("bad_3", "epe")
+    ]
+    assert printed[-1].endswith("(mean over the sets)")
+
+
+def test_nothing_is_said_that_does_not_help(tmp_path, caplog, recwarn):
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    files = replace(with_length(TINY, steps=1), scenes=None)
+    for length in (1, 2):
+        data = [f"sceneflow/train:{tmp_path / 'data'}"]
+        outcome = train(with_length(files, steps=length), tmp_path / "run", data=data, resume=length > 1, **CPU)
+        assert outcome.record["validation"] == {}
+    assert [record.getMessage() for record in caplog.records] == []
+    assert [str(warning.message) for warning in recwarn] == []
+    assert (tmp_path / "run" / "checkpoints" / "last.ckpt").is_file()
 
 
 def test_the_command_explains(tmp_path, capsys):
