@@ -71,7 +71,8 @@ class StereoTraining(LightningModule):
         self._broken_in_a_row = 0
         self._seconds_before = 0.0
         self._started: float | None = None
-        self._step_seconds = math.inf
+        self._timed_steps = 0
+        self._timed_seconds = 0.0
         self._step_ended: float | None = None
         self._validation_seconds: float | None = None
         self._validation_started = 0.0
@@ -95,14 +96,15 @@ class StereoTraining(LightningModule):
 
     def _seconds_at_the_end(self, minutes: float) -> float:
         """For one more step and the last validation, but never more than half of the time."""
-        if math.isinf(self._step_seconds):
+        if not self._timed_steps:
             return 0.0
+        step = self._timed_seconds / self._timed_steps
         validation = self._validation_seconds
         if validation is None:
             # a pair is larger than in training, but has no gradient: it takes about as long
             pairs = sum(self.trainer.num_val_batches) * self.trainer.world_size
-            validation = self._step_seconds * pairs / self.recipe.schedule.batch
-        return min(self._step_seconds + validation, 30 * minutes)
+            validation = step * pairs / self.recipe.schedule.batch
+        return min(step + validation, 30 * minutes)
 
     def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
         """The network."""
@@ -134,7 +136,8 @@ class StereoTraining(LightningModule):
         """Takes the time from the end of one step to that of the next; the first, which may compile, is left out."""
         now = self.seconds
         if self._step_ended is not None:
-            self._step_seconds = min(self._step_seconds, now - self._step_ended)
+            self._timed_steps += 1
+            self._timed_seconds += now - self._step_ended
         self._step_ended = now
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
