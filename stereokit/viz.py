@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "KITTI_ERROR_COLORS",
+    "captioned",
     "colorize",
     "distribution_figure",
     "error_picture",
@@ -212,6 +213,23 @@ def error_picture(
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * dilate + 1, 2 * dilate + 1))
         level = np.where(known, level, cv2.dilate(level, disc))
     return table[level]
+
+
+def captioned(picture: Picture, text: str) -> Picture:
+    """A picture with a line of text in its upper left corner, black on white; what is too long is cut off.
+
+    >>> captioned(np.zeros((40, 90, 3), np.uint8), "error").shape
+    (40, 90, 3)
+    """
+    height = max(8, round(math.sqrt(picture.shape[0] * picture.shape[1]) / 40))
+    gap = height // 2
+    ink = _ink(text, height)
+    sign = np.full((ink.shape[0] + 2 * gap, ink.shape[1] + 2 * gap, 3), 255, np.uint8)
+    _stamp(sign, ink, top=gap, left=gap)
+    captioned = picture.copy()
+    corner = captioned[: sign.shape[0], : sign.shape[1]]
+    corner[:] = sign[: corner.shape[0], : corner.shape[1]]
+    return captioned
 
 
 def overlay(

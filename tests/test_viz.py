@@ -12,6 +12,7 @@ from hypothesis.extra import numpy as hnp
 from stereokit.errors import ConfigError, InputError
 from stereokit.viz import (
     KITTI_ERROR_COLORS,
+    captioned,
     colorize,
     distribution_figure,
     error_picture,
@@ -268,3 +269,13 @@ def test_without_matplotlib_the_figure_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ConfigError, match=r'pip install "stereokit\[viz\]"'):
         distribution_figure(two_peaks(), [(0, 0)])
+
+
+def test_a_caption_stands_in_the_corner_of_a_copy():
+    picture = np.full((96, 160, 3), 100, np.uint8)
+    error, truth = (captioned(picture, text) for text in ("error", "ground truth"))
+    assert (picture == 100).all()
+    assert {0, 255} <= set(np.unique(error[:20, :40]))
+    assert (error[40:] == 100).all()
+    assert (error[:20] != 100).sum() < (truth[:20] != 100).sum()
+    assert captioned(picture[:5, :7], "cut off").shape == (5, 7, 3)

@@ -42,7 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out, if there is one")
     length = parser.add_argument_group("length")
-    length.add_argument("--minutes", type=float, help="fit the whole run, and its schedule, into this time")
+    length.add_argument(
+        "--minutes",
+        type=float,
+        help="fit schedule and steps into this time, with the last validation (without starting up)",
+    )
     length.add_argument("--steps", type=int, help="of the optimiser (default: the recipe's)")
     length.add_argument("--batch", type=int, help="pairs a step, over all devices (default: the recipe's)")
     parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
@@ -76,6 +80,7 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         validation=options.validate,
         textures=options.textures,
         model=None if options.weights is None else load_network(options).train(),
+        weights=options.weights,
         seed=options.seed,
         minutes=options.minutes,
         resume=options.resume,
@@ -94,8 +99,13 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         f"{record['steps']} steps, {record['pairs_seen']} pairs, {record['seconds'] / 60:.1f} minutes; "
         f"wrote {outcome.network}"
     )
-    for name, value in record["validation"].items():
-        print(f"{name}: {value:.3f}")
+    errors = record["validation"]
+    sets = {name.rpartition("/")[0] for name in errors} - {"validation"}
+    for name, value in errors.items():
+        mean = name.startswith("validation/")
+        # of a single set the mean says nothing new
+        if not mean or len(sets) > 1:
+            print(f"{name}: {value:.3f}{' (mean over the sets)' if mean else ''}")
 
 
 def _devices(given: str) -> int | str:

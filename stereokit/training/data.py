@@ -53,7 +53,8 @@ class StereoData(LightningDataModule):
         return ResumableLoader(
             self.samples,
             batch=self.batch,
-            steps=self.steps,
+            # behind the last batch Lightning would take the run for finished, and not let it be made longer
+            steps=self.steps + 1,
             rank=self.trainer.global_rank,
             processes=processes,
             workers=self.workers,

@@ -36,12 +36,14 @@ class StereoTraining(LightningModule):
         model: to train.
         recipe: what to do.
         steps: of the whole run.
-        minutes: wall-clock time of the whole run, over all its resumptions; None for as long as the steps take.
+        minutes: wall-clock time of the whole run, over all its resumptions, its last validation included as far as
+            it can be foreseen; None for as long as the steps take.
         validation: name of each validation set, in the order of the validation loaders.
         compile: train through `torch.compile`.
 
     Attributes:
         pairs_seen: training pairs so far, over all processes.
+        errors: of the last validation, as they are logged.
     """
 
     def __init__(
@@ -64,10 +66,16 @@ class StereoTraining(LightningModule):
         # in a list, so that it is no second submodule
         self._network: list[nn.Module] = [model]
         self.pairs_seen = 0
+        self.errors: dict[str, float] = {}
         self.broken_steps = 0
         self._broken_in_a_row = 0
         self._seconds_before = 0.0
         self._started: float | None = None
+        self._timed_steps = 0
+        self._timed_seconds = 0.0
+        self._step_ended: float | None = None
+        self._validation_seconds: float | None = None
+        self._validation_started = 0.0
         self._metrics: list[StereoMetrics] = []
         self._statistics_before: list[Tensor] = []
 
@@ -82,8 +90,21 @@ class StereoTraining(LightningModule):
         done = self.trainer.global_step / self.steps
         if self.minutes is not None:
             # all processes go by the clock of the first
-            done = max(done, self.trainer.strategy.broadcast(self.seconds) / (60 * self.minutes))
+            time_done = self.seconds / (60 * self.minutes - self._seconds_at_the_end(self.minutes))
+            done = max(done, self.trainer.strategy.broadcast(time_done))
         return min(done, 1.0)
+
+    def _seconds_at_the_end(self, minutes: float) -> float:
+        """For one more step and the last validation, but never more than half of the time."""
+        if not self._timed_steps:
+            return 0.0
+        step = self._timed_seconds / self._timed_steps
+        validation = self._validation_seconds
+        if validation is None:
+            # a pair is larger than in training, but has no gradient: it takes about as long
+            pairs = sum(self.trainer.num_val_batches) * self.trainer.world_size
+            validation = step * pairs / self.recipe.schedule.batch
+        return min(step + validation, 30 * minutes)
 
     def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
         """The network."""
@@ -102,14 +123,22 @@ class StereoTraining(LightningModule):
             self._network = [torch.compile(self.model)]  # type: ignore[list-item]
 
     def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
-        """Sets the learning rate, and ends the run when its time is over."""
+        """Sets the learning rate, and says which step is the last: Lightning validates behind it."""
         progress = self.progress
         rate = self.recipe.optimisation.learning_rate * self.recipe.schedule.learning_rate_factor(progress)
         for group in self.optimizers().param_groups:  # type: ignore[union-attr]
             group["lr"] = rate
-        if progress >= 1:
+        if progress >= 1 or self.trainer.global_step + 1 >= self.steps:
             self.trainer.should_stop = True
         self.log("learning_rate", rate)
+
+    def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
+        """Takes the time from the end of one step to that of the next; the first, which may compile, is left out."""
+        now = self.seconds
+        if self._step_ended is not None:
+            self._timed_steps += 1
+            self._timed_seconds += now - self._step_ended
+        self._step_ended = now
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """The loss of a batch.
@@ -157,6 +186,7 @@ class StereoTraining(LightningModule):
 
     def on_validation_epoch_start(self) -> None:
         """Begins to count."""
+        self._validation_started = self.seconds
         self._metrics = [StereoMetrics(max_disparity=self.recipe.loss.max_disparity) for _ in self.validation]
 
     def validation_step(self, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> Tensor:
@@ -167,6 +197,7 @@ class StereoTraining(LightningModule):
 
     def on_validation_epoch_end(self) -> None:
         """Logs the errors of each set, and their mean over the sets."""
+        self.errors = {}
         means: dict[str, list[float]] = {"bad_3": [], "epe": []}
         for name, counted in zip(self.validation, self._metrics, strict=True):
             if self.trainer.world_size > 1:
@@ -176,10 +207,14 @@ class StereoTraining(LightningModule):
                 value = result[metric]
                 if value is not None:
                     values.append(float(value))
-                    self.log(f"{name}/{metric}", float(value))
+                    self.errors[f"{name}/{metric}"] = float(value)
+        self.log_dict(self.errors)
         for metric, values in means.items():
             if values:
-                self.log(f"validation/{metric}", sum(values) / len(values), prog_bar=True)
+                self.errors[f"validation/{metric}"] = sum(values) / len(values)
+                self.log(f"validation/{metric}", self.errors[f"validation/{metric}"], prog_bar=True)
+        self._validation_seconds = self.seconds - self._validation_started
+        self._step_ended = None
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """What the run needs besides Lightning's own state."""
@@ -187,6 +222,7 @@ class StereoTraining(LightningModule):
             "seconds": self.seconds,
             "pairs_seen": self.pairs_seen,
             "broken_steps": self.broken_steps,
+            "ended_by_minutes": self.minutes if self.trainer.should_stop else None,
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:

@@ -14,13 +14,13 @@ from torch import Tensor
 from stereokit.data.atomic import make_folder
 from stereokit.data.images import write_image
 from stereokit.training.samples import Batch
-from stereokit.viz import colorize, error_picture, robust_range
+from stereokit.viz import captioned, colorize, error_picture, robust_range
 
 __all__ = ["ValidationPictures", "picture"]
 
 
 def picture(left: Tensor, truth: Tensor, disparity: Tensor) -> npt.NDArray[np.uint8]:
-    """Left image over its disparity, ground truth over the error, RGB.
+    """Left image over the prediction, ground truth over the error, with captions, RGB.
 
     Args:
         left: (3, H, W), uint8, or float in [0, 1].
@@ -37,10 +37,12 @@ def picture(left: Tensor, truth: Tensor, disparity: Tensor) -> npt.NDArray[np.ui
     known, estimate = truth.cpu().numpy(), disparity.float().cpu().numpy()
     span = robust_range(known if np.isfinite(known).any() else estimate)
     tiles = [
-        [image, colorize(known, value_range=span)],
-        [colorize(estimate, value_range=span), error_picture(estimate, known)],
+        {"left image": image, "ground truth": colorize(known, value_range=span)},
+        {"prediction": colorize(estimate, value_range=span), "error": error_picture(estimate, known)},
     ]
-    return np.concatenate([np.concatenate(row, axis=1) for row in tiles])
+    return np.concatenate(
+        [np.concatenate([captioned(tile, text) for text, tile in row.items()], axis=1) for row in tiles]
+    )
 
 
 class ValidationPictures(Callback):

@@ -143,6 +143,7 @@ class Recipe:
         averaging: of the weights.
         scenes: settings of `SyntheticScenes`, if the recipe is for rendered scenes.
         data: what to give as --data, for messages.
+        from_weights: it goes on from a trained network, and is refused without one.
 
     >>> recipe = load_recipe("sceneflow")
     >>> recipe.model["name"], recipe.schedule.epochs, recipe.averaging.kind
@@ -159,10 +160,13 @@ class Recipe:
     averaging: Averaging = field(default_factory=Averaging)
     scenes: Mapping[str, Any] | None = None
     data: str = ""
+    from_weights: bool = False
 
     def __post_init__(self) -> None:
         if "name" not in self.model:
             raise ConfigError(f"recipe {self.name!r}: its [model] names no network")
+        if not isinstance(self.from_weights, bool):
+            raise ConfigError(f"recipe {self.name!r}: from_weights is true or false, got {self.from_weights!r}")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as `from_dict` takes them; JSON keeps them."""

@@ -1,15 +1,19 @@
 """A training run, from a recipe to a saved network."""
 
 import json
+import logging
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import LightningModule, Trainer, seed_everything
-from lightning.pytorch.callbacks import Callback, Checkpoint, ModelCheckpoint
+from lightning.pytorch.callbacks import Callback, Checkpoint, ModelCheckpoint, TQDMProgressBar
+from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
 
@@ -49,21 +53,46 @@ class Outcome:
     record: Mapping[str, Any]
 
 
-class _LastCheckpoint(Checkpoint):
-    """Writes the state of the run to one file every so many steps.
+class _ProgressBar(TQDMProgressBar):
+    """Shows steps of the whole run; where minutes end it, it promises no number of steps and shows minutes."""
 
-    Not behind the last one: Lightning would not go on from there with a run that is made longer.
+    @property
+    def total_train_batches(self) -> int | float:
+        return cast(StereoTraining, self.trainer.lightning_module).steps
+
+    def init_train_tqdm(self) -> Tqdm:
+        bar = super().init_train_tqdm()
+        if cast(StereoTraining, self.trainer.lightning_module).minutes is not None:
+            bar.bar_format = "{desc}{n_fmt} [{elapsed}, {rate_noinv_fmt}{postfix}]"
+        return bar
+
+    def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
+        training = cast(StereoTraining, pl_module)
+        metrics = super().get_metrics(trainer, pl_module)
+        metrics.pop("v_num", None)
+        if training.minutes is None:
+            return metrics
+        return {"minutes": f"{training.seconds / 60:.1f} of {training.minutes:g}", **metrics}
+
+
+class _LastCheckpoint(Checkpoint):
+    """Writes the state of the run to one file every so many steps, and behind the last one to a file of its own.
+
+    `train` puts that one in the other's place when the network is saved: a run that is killed before still has its end
+    to come.
     """
 
     def __init__(self, path: Path, every: int) -> None:
         self.path = path
+        self.end = path.with_name("end.ckpt")
         self.every = every
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        over = trainer.should_stop or trainer.global_step >= trainer.max_steps
-        if not over and trainer.global_step % self.every == 0:
+        if trainer.should_stop:
+            trainer.save_checkpoint(self.end)
+        elif trainer.global_step % self.every == 0:
             trainer.save_checkpoint(self.path)
 
 
@@ -75,6 +104,7 @@ def train(
     validation: Sequence[str] = (),
     textures: str | Path | None = None,
     model: StereoModel | None = None,
+    weights: str | None = None,
     seed: int = 0,
     minutes: float | None = None,
     resume: bool = False,
@@ -104,9 +134,11 @@ def train(
         validation: data sets to validate on; without any, a recipe for rendered scenes renders some of another seed.
         textures: folder of photographs that rendered scenes use besides procedural textures.
         model: a network to go on from, in place of the recipe's own with random weights.
+        weights: name of the weights of `model`, for the line that says what the run starts from.
         seed: of weights, order, augmentation and scenes.
-        minutes: wall-clock time for the whole run: the schedule is fitted into it. The steps of the recipe are still
-            the most.
+        minutes: wall-clock time from the first step to the end of the last validation, over all resumptions: the
+            schedule is fitted into it. Time for the validation is kept by what the one before took, or else by what
+            the steps take; it is half of the minutes at most. The steps of the recipe are still the most.
         resume: go on with the run that the folder holds; if it holds none yet, start it.
         accelerator: "auto", "cpu", "gpu", .., as in `lightning.pytorch.Trainer`.
         devices: how many on each machine, or "auto".
@@ -120,12 +152,21 @@ def train(
 
     Raises:
         InputError: data that can't be used, or a folder that holds a run already.
-        ConfigError: settings that do not go together, or other ones than those of the run to resume.
+        ConfigError: settings that do not go together, that the machine does not have, or other ones than those of the
+            run to resume.
         CheckpointError: the checkpoint can't be read.
         TrainingError: losses stay infinite or NaN.
     """
     out = Path(out)
-    _check_counts(workers=workers, checkpoint_every=checkpoint_every, validate_every=validate_every, minutes=minutes)
+    _check_counts(workers=workers, checkpoint_every=checkpoint_every, validate_every=validate_every)
+    if minutes is not None and not minutes > 0:
+        raise ConfigError(f"minutes is {minutes}; expected more than 0")
+    if recipe.from_weights and model is None:
+        raise ConfigError(
+            f"recipe {recipe.name!r} goes on from a trained {recipe.model['name']}: give --weights with a saved "
+            "network, a published checkpoint or a name of stereokit list weights; from_weights = false in a recipe of "
+            "one's own trains from random weights"
+        )
     samples, validation_sets = _open(recipe, data, validation, textures, seed)
     steps = recipe.schedule.total_steps(samples.pairs)
     asked = {
@@ -138,16 +179,15 @@ def train(
     last = out / "checkpoints" / "last.ckpt"
     goes_on = resume and last.is_file()
     if goes_on:
-        _check_checkpoint(last, steps)
-    if _is_first_process():
-        _prepare_folder(out, asked, resume=resume, command=command)
+        _check_checkpoint(last, steps, minutes)
 
     seed_everything(seed, verbose=False)
     network = model if model is not None else _new_network(recipe)
     training = StereoTraining(
         network, recipe, steps=steps, minutes=minutes, validation=tuple(validation_sets), compile=compile
     )
-    callbacks: list[Callback] = [_LastCheckpoint(last, checkpoint_every)]
+    checkpoint = _LastCheckpoint(last, checkpoint_every)
+    callbacks: list[Callback] = [_ProgressBar(), checkpoint]
     if recipe.averaging.kind != "none":
         callbacks.append(AveragedWeights(recipe.averaging, lambda: training.progress))
     if validation_sets:
@@ -156,26 +196,43 @@ def train(
             ModelCheckpoint(last.parent, "best", monitor="validation/bad_3", enable_version_counter=False),
         ]
     processes = devices if isinstance(devices, int) else 1
-    trainer = Trainer(
-        accelerator=accelerator,
-        devices=devices,
-        num_nodes=nodes,
-        strategy="ddp" if processes * nodes > 1 else "auto",
-        precision=precision,  # type: ignore[arg-type]
-        sync_batchnorm=processes * nodes > 1 and torch.cuda.is_available() and accelerator != "cpu",
-        max_steps=steps,
-        max_epochs=1,
-        gradient_clip_val=recipe.optimisation.gradient_clip,
-        val_check_interval=min(validate_every, steps) if validation_sets else None,
-        check_val_every_n_epoch=None,
-        num_sanity_val_steps=0,
-        use_distributed_sampler=False,
-        log_every_n_steps=min(20, steps),
-        callbacks=callbacks,
-        logger=[CSVLogger(out / "logs", "csv"), TensorBoardLogger(out / "logs", "tensorboard")],
-        default_root_dir=out,
-        enable_model_summary=False,
-    )
+    try:
+        with _without_noise():
+            trainer = Trainer(
+                accelerator=accelerator,
+                devices=devices,
+                num_nodes=nodes,
+                strategy="ddp" if processes * nodes > 1 else "auto",
+                precision=precision,  # type: ignore[arg-type]
+                sync_batchnorm=processes * nodes > 1 and torch.cuda.is_available() and accelerator != "cpu",
+                max_steps=steps,
+                max_epochs=1,
+                gradient_clip_val=recipe.optimisation.gradient_clip,
+                val_check_interval=min(validate_every, steps),
+                limit_val_batches=None if validation_sets else 0,
+                check_val_every_n_epoch=None,
+                num_sanity_val_steps=0,
+                use_distributed_sampler=False,
+                log_every_n_steps=min(20, steps),
+                callbacks=callbacks,
+                logger=[CSVLogger(out / "logs", "csv"), TensorBoardLogger(out / "logs", "tensorboard")],
+                default_root_dir=out,
+                enable_model_summary=False,
+            )
+    except (MisconfigurationException, ValueError, ImportError) as error:
+        raise ConfigError(
+            f"this machine does not train on accelerator {accelerator!r}, devices {devices!r} with precision "
+            f"{precision!r}: {' '.join(str(error).split())}"
+        ) from error
+    if _is_first_process():
+        _prepare_folder(out, asked, resume=resume, command=command)
+        if goes_on:
+            print(f"goes on with the run in {out}")
+        elif model is not None:
+            print(f"starts from the weights {weights or 'of the given network'}")
+        else:
+            encoder = ", the encoder from ImageNet's" if recipe.model.get("pretrained_backbone") else ""
+            print(f"starts from random weights{encoder}")
     loaders = StereoData(
         samples,
         batch=recipe.schedule.batch,
@@ -183,13 +240,10 @@ def train(
         validation=validation_sets,
         workers=usual_workers(processes) if workers is None else workers,
     )
-    with warnings.catch_warnings():
-        # a CPU's few cores are shared between network and loaders on purpose
-        warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+    with _without_noise():
         trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
-        if trainer.interrupted:
-            raise KeyboardInterrupt
-        metrics = trainer.validate(training, loaders, verbose=False) if validation_sets else []
+    if trainer.interrupted:
+        raise KeyboardInterrupt
     network.cpu().eval()
     record = {
         **asked,
@@ -198,13 +252,32 @@ def train(
         "broken_steps": training.broken_steps,
         "seconds": round(training.seconds, 1),
         "weights_sha256": state_sha256(network.state_dict()),
-        "validation": {key: value for found in metrics for key, value in found.items()},
+        "validation": training.errors,
         **_circumstances(command),
     }
     if _is_first_process():
         network.save_pretrained(out / "network")
         _write_json(out / "network" / "training.json", record)
+        checkpoint.end.replace(last)
     return Outcome(network, out / "network", record)
+
+
+@contextmanager
+def _without_noise() -> Iterator[None]:
+    """Leaves out what Lightning says of its own insides, of products, and of what was meant so."""
+    logger = logging.getLogger("lightning.pytorch")
+    level = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            # a CPU's few cores are shared between network and loaders on purpose
+            warnings.filterwarnings("ignore", message=".*does not have many workers")
+            warnings.filterwarnings("ignore", message=".*LeafSpec.*is deprecated")
+            # a run that goes on writes where it wrote
+            warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 def _open(
@@ -268,15 +341,20 @@ def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: 
             )
 
 
-def _check_checkpoint(path: Path, steps: int) -> None:
+def _check_checkpoint(path: Path, steps: int, minutes: float | None) -> None:
     try:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # the reader of a damaged file may stumble over anything
         raise CheckpointError(f"the checkpoint {str(path)!r} can't be read: {error}") from error
     if not isinstance(checkpoint, dict) or "stereokit" not in checkpoint:
         raise CheckpointError(f"{str(path)!r} is no checkpoint of stereokit train")
-    if checkpoint["global_step"] >= steps:
-        raise ConfigError(f"{str(path)!r} is at step {checkpoint['global_step']} already; a run of {steps} is over")
+    done, ended_by = checkpoint["global_step"], checkpoint["stereokit"].get("ended_by_minutes")
+    if done >= steps or (minutes is not None and ended_by is not None and minutes <= ended_by):
+        length = f"{steps} steps" if done >= steps else f"{minutes:g} minutes"
+        raise ConfigError(
+            f"the run in {str(path.parents[1])!r} is finished: it is at step {done}, and {length} were asked for; "
+            "a larger --steps or --minutes makes it longer"
+        )
 
 
 def _settled(run: Mapping[str, Any]) -> dict[str, Any]:
@@ -300,10 +378,10 @@ def _write_json(path: Path, values: Mapping[str, Any]) -> None:
         temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
 
 
-def _check_counts(**values: float | None) -> None:
+def _check_counts(**values: int | None) -> None:
     for name, value in values.items():
         least = 0 if name == "workers" else 1
-        if value is not None and (value < least or (name == "minutes" and value <= 0)):
+        if value is not None and value < least:
             raise ConfigError(f"{name} is {value}; expected at least {least}")
 
 

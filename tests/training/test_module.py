@@ -24,7 +24,7 @@ def batch(pairs=2, known=1.0):
     return {"left": left, "right": right, "disparity": truth}
 
 
-def fit(training: LightningModule, batches, *callbacks: Callback, **options) -> Trainer:
+def fit(training: LightningModule, batches, *callbacks: Callback, validation=None, **options) -> Trainer:
     trainer = Trainer(
         accelerator="cpu",
         max_steps=len(batches),
@@ -36,8 +36,12 @@ def fit(training: LightningModule, batches, *callbacks: Callback, **options) -> 
         callbacks=list(callbacks),
         **options,
     )
-    trainer.fit(training, torch.utils.data.DataLoader(batches, batch_size=None))
+    trainer.fit(training, loader(batches), None if validation is None else loader(validation))
     return trainer
+
+
+def loader(batches):
+    return torch.utils.data.DataLoader(batches, batch_size=None)
 
 
 def tiny_training(steps=3, **changes) -> StereoTraining:
@@ -60,15 +64,44 @@ def test_the_rate_follows_the_schedule_over_the_steps():
     assert training.pairs_seen == 8
 
 
+class Slow(Callback):
+    """Steps and validation pairs take as long as they are said to."""
+
+    def __init__(self, monkeypatch, step, validation_pair):
+        self.now, self.step, self.validation_pair = 0.0, step, validation_pair
+        monkeypatch.setattr("stereokit.training.module.time.monotonic", lambda: self.now)
+
+    def on_train_batch_end(self, *_):
+        self.now += self.step
+
+    def on_validation_batch_end(self, *_):
+        self.now += self.validation_pair
+
+
 def test_a_run_in_minutes_ends_when_they_are_over(monkeypatch):
-    clock = iter(range(0, 10_000, 6))
-    monkeypatch.setattr("stereokit.training.module.time.monotonic", lambda: float(next(clock)))
     training = tiny_training(100, schedule=Schedule(batch=2, steps=100, milestones=(0.5,), factor=0.1))
     training.minutes = 0.5
-    rates = Rates()
-    trainer = fit(training, [batch()] * 20, rates)
+    rates, clock = Rates(), Slow(monkeypatch, 6, 0)
+    trainer = fit(training, [batch()] * 20, rates, clock)
     assert trainer.global_step == len(rates.rates) == 5
     assert rates.rates == pytest.approx([1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
+    assert clock.now == 30
+
+
+@pytest.mark.parametrize(
+    ("validation_pair", "interval", "steps", "seconds"),
+    [
+        (1.5, 100, 18, 60),  # as long as a pair in training
+        (1, 6, 16, 60),  # measured in the first two
+        (100, 100, 18, 454),  # not to be foreseen
+    ],
+)
+def test_minutes_keep_time_for_the_one_last_validation(monkeypatch, validation_pair, interval, steps, seconds):
+    training = StereoTraining(build_model("coex", max_disparity=32), TINY, steps=100, minutes=1, validation=("a",))
+    clock = Slow(monkeypatch, 3, validation_pair)
+    often = {"val_check_interval": interval, "check_val_every_n_epoch": None, "num_sanity_val_steps": 0}
+    trainer = fit(training, [batch()] * 100, clock, validation=[batch(1)] * 4, **often)
+    assert (trainer.global_step, clock.now) == (steps, seconds)
 
 
 def test_the_loss_is_that_of_the_library():

@@ -77,6 +77,7 @@ def test_the_warmup_rises_from_nothing_in_a_line():
         ({"averaging": {"kind": "ema", "decay": 1}}, "decay"),
         ({"modle": {}}, "did you mean 'model'"),
         ({"model": {}}, "names no network"),
+        ({"from_weights": "coex"}, "from_weights is true or false"),
     ],
 )
 def test_a_bad_recipe_is_explained(change, words):

@@ -33,8 +33,11 @@ def _few_validation_scenes(monkeypatch):
     monkeypatch.setattr("stereokit.training.run.VALIDATION_SCENES", 2)
 
 
-def test_a_run_leaves_a_network_with_its_record(tmp_path):
+def test_a_run_leaves_a_network_with_its_record(tmp_path, capsys):
     outcome = train(TINY, tmp_path / "run", checkpoint_every=4, validate_every=3, **CPU)
+    printed = capsys.readouterr().out
+    assert printed.startswith("starts from random weights\n")
+    assert "6/6 [" in printed
     assert outcome.record["steps"] == 6
     assert outcome.record["pairs_seen"] == 12
     assert set(outcome.record["validation"]) >= {"validation/bad_3", "synthetic/epe"}
@@ -57,6 +60,17 @@ def test_a_run_leaves_a_network_with_its_record(tmp_path):
     assert json.loads((outcome.network / "training.json").read_text())["recipe"]["name"] == "tiny"
     scene = SyntheticScenes(size=(48, 80), max_disparity=16)[0]
     assert Predictor(outcome.network)(scene.left, scene.right).size == (48, 80)
+
+
+@pytest.mark.parametrize("length", [{"minutes": 1e-3}, {}])
+def test_the_end_is_validated_once(tmp_path, monkeypatch, capsys, length):
+    ends = []
+    monkeypatch.setattr(StereoTraining, "on_validation_end", lambda self: ends.append(self.trainer.global_step))
+    outcome = train(TINY, tmp_path, validate_every=5, **length, **CPU)
+    assert ends[-1] == outcome.record["steps"]
+    assert len(set(ends)) == len(ends)
+    assert outcome.record["validation"]["validation/bad_3"] == outcome.record["validation"]["synthetic/bad_3"]
+    assert ("minutes=" in capsys.readouterr().out) == bool(length)
 
 
 ENDLESS = """
@@ -99,11 +113,39 @@ def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
 
 def test_a_finished_run_can_be_made_longer(tmp_path):
     train(with_length(TINY, steps=4), tmp_path, checkpoint_every=2, **CPU)
-    longer = train(with_length(TINY, steps=5), tmp_path, resume=True, checkpoint_every=2, **CPU)
-    assert longer.record["steps"] == 5
-    assert longer.record["pairs_seen"] == 10
-    with pytest.raises(ConfigError, match="is at step 4 already; a run of 3 is over"):
+    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt", "best.ckpt"}
+    with pytest.raises(ConfigError, match="is finished: it is at step 4, and 4 steps were asked for"):
+        train(with_length(TINY, steps=4), tmp_path, resume=True, **CPU)
+    longer = train(with_length(TINY, steps=6), tmp_path, resume=True, checkpoint_every=4, **CPU)
+    assert longer.record["steps"] == 6
+    assert longer.record["pairs_seen"] == 12
+    with pytest.raises(ConfigError, match="is finished: it is at step 6, and 3 steps were asked for"):
         train(with_length(TINY, steps=3), tmp_path, resume=True, **CPU)
+
+
+def test_a_run_that_its_minutes_ended_goes_on_with_more_of_them(tmp_path):
+    steps = train(TINY, tmp_path, minutes=1e-3, **CPU).record["steps"]
+    assert steps < 6
+    with pytest.raises(ConfigError, match=rf"is finished: it is at step {steps}, and 0.001 minutes were asked for"):
+        train(TINY, tmp_path, minutes=1e-3, resume=True, **CPU)
+    assert train(TINY, tmp_path, minutes=60, resume=True, **CPU).record["pairs_seen"] == 12
+
+
+class Killed(BaseException):
+    pass
+
+
+def test_a_run_that_is_killed_in_its_last_validation_still_has_its_end_to_come(tmp_path, monkeypatch):
+    def kill(self):
+        raise Killed
+
+    with monkeypatch.context() as patched:
+        patched.setattr(StereoTraining, "on_validation_epoch_end", kill)
+        with pytest.raises(Killed):
+            train(TINY, tmp_path, checkpoint_every=4, **CPU)
+    outcome = train(TINY, tmp_path, resume=True, checkpoint_every=4, **CPU)
+    assert (outcome.record["steps"], outcome.record["pairs_seen"]) == (6, 12)
+    assert outcome.record["validation"]
 
 
 def test_only_the_run_that_is_there_is_resumed(tmp_path):
@@ -137,6 +179,15 @@ def test_settings_that_do_not_go_together(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize("name", ["kitti-finetune", "psmnet-kitti"])
+def test_a_recipe_for_fine_tuning_wants_weights(tmp_path, name, capsys):
+    data = ["--data", f"kitti2015/train:{tmp_path}"]
+    assert main(["train", "--recipe", name, *data, "--out", str(tmp_path / "run")]) == 2
+    assert "goes on from a trained" in (said := capsys.readouterr().err)
+    assert "give --weights" in said
+    assert not (tmp_path / "run").exists()
+
+
 def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
     write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=3), tmp_path / "data", split="train")
     start = build_model("coex", max_disparity=32)
@@ -148,14 +199,47 @@ def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
     )
     data = f"sceneflow/train:{tmp_path / 'data'}"
     arguments = ["train", "--recipe", str(recipe), "--weights", str(tmp_path / "start"), "--accelerator", "cpu"]
-    arguments += ["--out", str(tmp_path / "run"), "--data", data, "--workers", "0"]
-    assert main([*arguments, "--validate", data]) == 0
+    arguments += ["--data", data, "--workers", "0"]
+    assert main([*arguments, "--out", str(tmp_path / "run"), "--validate", data]) == 0
     printed = capsys.readouterr().out
+    assert "\nvalidation/bad_3" not in printed
+    assert f"starts from the weights {tmp_path / 'start'}\n" in printed
     assert "2 steps, 4 pairs" in printed
     assert "sceneflow/train/bad_3" in printed
     trained = StereoModel.from_pretrained(tmp_path / "run" / "network")
     for key, value in start.named_parameters():
         torch.testing.assert_close(trained.get_parameter(key), value, rtol=0, atol=1e-7)
+
+
+def test_several_validation_sets_have_a_mean(tmp_path, capsys):
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    recipe = tmp_path / "mine.toml"
+    recipe.write_text(
+        '[model]\nname = "coex"\nmax_disparity = 32\n[augmentation]\ncrop_height = 32\ncrop_width = 64\n'
+        "[schedule]\nbatch = 2\nepochs = 1\n"
+    )
+    data = f"sceneflow/train:{tmp_path / 'data'}"
+    arguments = ["train", "--recipe", str(recipe), "--out", str(tmp_path / "run"), "--accelerator", "cpu"]
+    assert main([*arguments, "--data", data, "--workers", "0", "--validate", data, "--validate", data]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in printed[-6:]] == [
+        f"{name}/{metric}"
+        for name in ("sceneflow/train", "sceneflow/train_1", "validation")
+        for metric in ("bad_3", "epe")
+    ]
+    assert printed[-1].endswith("(mean over the sets)")
+
+
+def test_nothing_is_said_that_does_not_help(tmp_path, caplog, recwarn):
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    files = replace(with_length(TINY, steps=1), scenes=None)
+    for length in (1, 2):
+        data = [f"sceneflow/train:{tmp_path / 'data'}"]
+        outcome = train(with_length(files, steps=length), tmp_path / "run", data=data, resume=length > 1, **CPU)
+        assert outcome.record["validation"] == {}
+    assert [record.getMessage() for record in caplog.records] == []
+    assert [str(warning.message) for warning in recwarn] == []
+    assert (tmp_path / "run" / "checkpoints" / "last.ckpt").is_file()
 
 
 def test_the_command_explains(tmp_path, capsys):
@@ -165,6 +249,21 @@ def test_the_command_explains(tmp_path, capsys):
     assert "--devices is a number of devices, or auto" in capsys.readouterr().err
     assert main(["train", "--recipe", "sceneflow", "--out", str(tmp_path / "run")]) == 2
     assert "give --data sceneflow/train:ROOT" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"accelerator": "tpu"}, "accelerator 'tpu'"),
+        ({"accelerator": "abacus"}, "accelerator 'abacus'"),
+        ({"precision": "31"}, "precision '31'.*bf16-mixed"),
+    ],
+)
+def test_what_the_machine_does_not_have_is_one_line(tmp_path, given, words, capsys):
+    with pytest.raises(ConfigError, match=words) as caught:
+        train(TINY, tmp_path / "run", **{**CPU, **given})
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
 
 
 class Gradients(Callback):
