@@ -1,7 +1,9 @@
 """What the runtimes of exported files have in common."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from os import PathLike, fspath
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,6 +32,8 @@ class ExportedBackend(ABC):
     precision: str
     memory_share: float
     """The memory that a pair takes, in parts of what `estimate_memory` finds for PyTorch, at most."""
+    memory_shares: Mapping[str, float] = MappingProxyType({})
+    """Smaller ones, by the name of the network's aggregation."""
 
     def __init__(self, path: str | PathLike[str], device: torch.device) -> None:
         self.path = fspath(path)
@@ -81,7 +85,9 @@ class ExportedBackend(ABC):
 
     def estimate_memory(self, network: nn.Module, height: int, width: int) -> int:
         """The memory in bytes that a pair takes at most, from what PyTorch takes for the `network` of `as_module`."""
-        return int(self.memory_share * estimate_memory(network, height, width))
+        aggregation = (self.metadata.network or {}).get("aggregation", {}).get("name")
+        share = self.memory_shares.get(aggregation, self.memory_share)
+        return int(share * estimate_memory(network, height, width))
 
     def _check_size(self, height: int, width: int) -> None:
         check_least_size(height, width)

@@ -35,7 +35,7 @@ class OpenVinoBackend(ExportedBackend):
     """
 
     name = "openvino"
-    # 1.0 to 1.5 for CoEx, by benchmarks/file_memory.py
+    # 1.0 to 1.5 by benchmarks/memory.py
     memory_share = 1.6
 
     @kept_signal_stack()
