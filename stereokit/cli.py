@@ -119,6 +119,12 @@ def _parser() -> argparse.ArgumentParser:
         default="error",
         help="what becomes of a pair that needs more: refused, matched in tiles, or at a reduced resolution",
     )
+    predict.add_argument(
+        "--scale",
+        type=float,
+        default=1.0,
+        help="match at this part of the resolution, such as 0.5: finds disparities twice as large (default: 1)",
+    )
     predict.add_argument("--overwrite", action="store_true", help="replace existing results")
     predict.set_defaults(run=_predict)
 
@@ -194,7 +200,9 @@ def _predict(options: argparse.Namespace) -> None:
     # now rather than after the first pair is matched
     check_folder(options.out)
     check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
-    predictor = _load_predictor(options, max_memory=options.max_memory, too_large=options.too_large)
+    predictor = _load_predictor(
+        options, max_memory=options.max_memory, too_large=options.too_large, scale=options.scale
+    )
     failed: list[str] = []
     for pair in tqdm(pairs, unit="pair", disable=len(pairs) == 1):
         try:

@@ -23,7 +23,7 @@ from stereokit.inputs import ImageLike, to_pair
 from stereokit.memory import MemorySize, running_out_as
 from stereokit.model import StereoModel, StereoOutput, check_least_size
 from stereokit.pretrained import is_hub_id
-from stereokit.tiling import BoundedMatcher, MemoryPlan, TooLarge
+from stereokit.tiling import BoundedMatcher, Run, TooLarge, match_reduced, reduced_size
 from stereokit.viz import picture_with_scale
 from stereokit.weights import load_weights, named_weights, suggest_weights
 
@@ -145,10 +145,12 @@ class Predictor:
             is free on the device, looked at for large pairs.
         too_large: what becomes of a pair that needs more: "error" says how much and what would do, "tile" matches it
             in overlapping tiles, "reduce" at a reduced resolution; see `stereokit.tiling`.
+        scale: match at this part of the resolution, such as 0.5, and enlarge the result, see `match_reduced`: it finds
+            disparities up to max_disparity / scale, and less detail.
 
     Raises:
-        ConfigError: the device or the backend is unknown, absent, or not for this model; or limits of memory for an
-            exported file of one size alone.
+        ConfigError: the device or the backend is unknown, absent, or not for this model; limits of memory for an
+            exported file of one size alone; or a scale that is not above 0 and at most 1.
         CheckpointError: there is no saved network or exported file at this place, or it can't be used.
 
     >>> predict = Predictor("coex", device="cpu")
@@ -166,13 +168,17 @@ class Predictor:
         precision: str | None = None,
         max_memory: MemorySize | None = None,
         too_large: TooLarge = "error",
+        scale: float = 1.0,
     ) -> None:
+        if not 0 < scale <= 1:
+            raise ConfigError(f"scale={scale!r} is not above 0 and at most 1")
         if not is_exported(model):
             check_backend(backend)
             device = choose_device(device)
             model = model if isinstance(model, nn.Module) else _saved_network(model)
         self.backend = open_backend(model, device, backend, precision)
         self._limits: dict[str, Any] = {"max_memory": max_memory, "too_large": too_large}
+        self.scale = scale
         self._measurable = True
         self._preparation_seconds = 0.0
         self._bounded: BoundedMatcher | None = None
@@ -206,28 +212,19 @@ class Predictor:
             InputError: an image that can't be used; the message says why.
         """
         left, right = to_pair(left, right)
-        height, width = left.shape[-2:]
-        check_least_size(height, width)
+        check_least_size(*left.shape[-2:])
         self._preparation_seconds = 0.0
-        cut = self._cut(height, width)
+        run = self._fitting(*reduced_size((left.shape[-2], left.shape[-1]), self.scale))
         start = time.perf_counter()
-        if cut is not None:
-            bounded, plan = cut
-            output = bounded.match(left, right, plan)
-        else:
-            with running_out_as(
-                f"a pair of {width} x {height} pixels does not fit into the memory of {self.device}; "
-                "too_large='tile' or 'reduce' with a max_memory would do"
-            ):
-                output = self._run(left, right)
+        output = run(left, right) if self.scale == 1 else match_reduced(run, left, right, scale=self.scale)
         seconds = time.perf_counter() - start - self._preparation_seconds
         confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
         return DisparityResult(output.disparity[0].cpu().numpy(), confidence, seconds, self._preparation_seconds)
 
-    def _cut(self, height: int, width: int) -> tuple[BoundedMatcher, MemoryPlan] | None:
-        """What matches pairs of this size in less memory than the whole takes, and how; None where the whole fits."""
+    def _fitting(self, height: int, width: int) -> Run:
+        """What matches pairs of this size within the memory, checked here if they are large."""
         if not self._measurable or (self._limits["max_memory"] is None and height * width <= LARGE):
-            return None
+            return self._whole
         try:
             # the network of an exported file is built for the first large pair
             self._bounded = self._bounded or self._matcher()
@@ -237,8 +234,8 @@ class Predictor:
                 raise
             # nobody asked for a limit, so what can't be measured just runs
             self._measurable = False
-            return None
-        return None if plan.how == "whole" else (self._bounded, plan)
+            return self._whole
+        return self._whole if plan.how == "whole" else partial(self._bounded.match, plan=plan)
 
     def _matcher(self) -> BoundedMatcher:
         if isinstance(self.backend, ExportedBackend):
@@ -247,6 +244,14 @@ class Predictor:
                 network, run=self._run, estimate=partial(self.backend.estimate_memory, network), **self._limits
             )
         return BoundedMatcher(self.model, run=self._run, **self._limits)
+
+    def _whole(self, left: Tensor, right: Tensor) -> StereoOutput:
+        height, width = left.shape[-2:]
+        with running_out_as(
+            f"a pair of {width} x {height} pixels does not fit into the memory of {self.device}; "
+            "too_large='tile' or 'reduce' with a max_memory would do"
+        ):
+            return self._run(left, right)
 
     def _run(self, left: Tensor, right: Tensor) -> StereoOutput:
         """The backend; what it does once is timed apart."""

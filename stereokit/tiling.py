@@ -22,7 +22,16 @@ from stereokit.memory import (
 )
 from stereokit.model import MIN_SIZE, StereoOutput
 
-__all__ = ["BoundedMatcher", "MemoryPlan", "Run", "TooLarge", "match_reduced", "match_tiles", "tile_grid"]
+__all__ = [
+    "BoundedMatcher",
+    "MemoryPlan",
+    "Run",
+    "TooLarge",
+    "match_reduced",
+    "match_tiles",
+    "reduced_size",
+    "tile_grid",
+]
 
 Run: TypeAlias = Callable[[Tensor, Tensor], StereoOutput]
 """Left and right images (B, 3, H, W) to a `StereoOutput`: a network, or what calls one."""
@@ -172,14 +181,22 @@ def match_reduced(run: Run, left: Tensor, right: Tensor, *, scale: float) -> Ste
     tensor([10.])
     """
     height, width = left.shape[-2:]
-    small = _reduced_size((height, width), scale)
+    small = reduced_size((height, width), scale)
     output = run(_reduce(left, small), _reduce(right, small))
     factor = width / small[1]
     confidence = None if output.confidence is None else _enlarge(output.confidence, (height, width)).to(left.device)
     return StereoOutput((_enlarge(output.disparity, (height, width)) * factor).to(left.device), confidence=confidence)
 
 
-def _reduced_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
+def reduced_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
+    """Height and width of a pair that `match_reduced` matches.
+
+    Raises:
+        InputError: the scale, or the reduced pair, is too small.
+
+    >>> reduced_size((480, 640), 0.25)
+    (120, 160)
+    """
     height, width = (max(1, round(side * scale)) for side in size)
     if not 0 < scale <= 1 or min(height, width) < min(MIN_SIZE, *size):
         raise InputError(
