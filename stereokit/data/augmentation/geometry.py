@@ -117,8 +117,9 @@ def scale(sample: StereoSample, *, height: int, width: int) -> StereoSample:
         return values[np.ix_(from_rows, from_columns)]
 
     def resize(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        shrinks = height < rows or width < columns
-        return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+        # one after the other: where one side grows, OpenCV's means over areas repeat pixels
+        shrunk = cv2.resize(image, (min(width, columns), min(height, rows)), interpolation=cv2.INTER_AREA)
+        return cv2.resize(shrunk, (width, height), interpolation=cv2.INTER_LINEAR)
 
     def place(disparity: Disparity) -> Disparity:
         placed: Disparity = pick(disparity) * np.float32(ratio)

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from stereokit.data.augmentation import (
@@ -213,6 +213,7 @@ def test_flip_without_truth():
     slope=st.floats(-0.05, 0.05),
     offset=st.floats(3, 8),
 )
+@example(height=12, width=96, slope=0.0, offset=3.0)
 @settings(deadline=None)
 def test_scale_keeps_the_truth(height, width, slope, offset):
     pair = slanted(offset, slope)
