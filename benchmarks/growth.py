@@ -3,8 +3,8 @@
     python benchmarks/growth.py coex --json growth.json
 
 Each point runs in a process of its own, so that its peak memory is its own, and one that runs out of memory takes no
-other with it. Points that the free memory can't hold are not begun, and say so. Random weights: they do not change the
-speed.
+other with it. Points that the free memory can't hold are not begun, and say so. Freed memory is kept, as the command
+does it. Random weights: they do not change the speed.
 """
 
 import argparse
@@ -25,6 +25,7 @@ from stereokit.data.atomic import atomic_path, check_free
 from stereokit.evaluation.tables import Table
 from stereokit.inference import choose_device
 from stereokit.memory import format_memory
+from stereokit.optimize import keep_freed_memory
 from stereokit.provenance import machine, versions
 
 MEGAPIXELS = (0.25, 0.5, 1, 2, 4, 8)
@@ -82,7 +83,7 @@ def candidates(options: argparse.Namespace) -> list[Candidate]:
 def measure(candidate: Candidate, device: str, repeats: int, threads: int) -> Benchmark:
     """The benchmark of one candidate, from a fresh process."""
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=torch.set_num_threads, initargs=(threads,)) as pool:
+    with ProcessPoolExecutor(1, mp_context=context, initializer=prepare_process, initargs=(threads,)) as pool:
         try:
             return pool.submit(run_benchmark, [candidate], device=device, repeats=repeats, warmup=2).result()
         except BrokenProcessPool:
@@ -98,6 +99,11 @@ def measure(candidate: Candidate, device: str, repeats: int, threads: int) -> Be
             )
             settings = {"device": device, "repeats": repeats, "warmup": 2}
             return Benchmark((row,), None, settings, machine(), versions(), "", (None, None), None)
+
+
+def prepare_process(threads: int) -> None:
+    torch.set_num_threads(threads)
+    keep_freed_memory()
 
 
 def table(rows: list[Row]) -> Table:

@@ -249,7 +249,7 @@ class Predictor:
         height, width = left.shape[-2:]
         with running_out_as(
             f"a pair of {width} x {height} pixels does not fit into the memory of {self.device}; "
-            "too_large='tile' or 'reduce' with a max_memory would do"
+            "too_large='tile' or 'reduce' with a max_memory (--too-large, --max-memory) would do"
         ):
             return self._run(left, right)
 

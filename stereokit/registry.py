@@ -41,10 +41,11 @@ Factory = TypeVar("Factory", bound=Callable[..., Any])
 def suggest(name: str, known: list[str]) -> str:
     """The end of an error message about an unknown name: near names, then all of them.
 
-    >>> suggest("coexx", ["coex", "psmnet"])
+    >>> suggest("CoExx", ["coex", "psmnet"])
     "did you mean 'coex'? Known: coex, psmnet"
     """
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    in_lower_case = {candidate.lower(): candidate for candidate in known}
+    near = [in_lower_case[n] for n in difflib.get_close_matches(name.lower(), in_lower_case, n=3, cutoff=0.5)]
     hint = f"did you mean {' or '.join(repr(n) for n in near)}? " if near else ""
     return f"{hint}Known: {', '.join(known) or 'none'}"
 

@@ -418,11 +418,13 @@ class BoundedMatcher:
         if tile is not None:
             count = self._count(height, width, tile)
             offers.append(
-                f"too_large='tile' would match it in {count} overlapping tiles of {tile[1]} x {tile[0]} pixels"
-                f"{self._reach(1)}"
+                f"too_large='tile' (--too-large tile) would match it in {count} overlapping tiles of {tile[1]} x "
+                f"{tile[0]} pixels{self._reach(1)}"
             )
         if scale is not None:
-            offers.append(f"too_large='reduce' would match it at {scale:g} of its size{self._reach(scale)}")
+            offers.append(
+                f"too_large='reduce' (--too-large reduce) would match it at {scale:g} of its size{self._reach(scale)}"
+            )
         if not offers:
             least = min(1.0, -(-100 * MIN_SIZE // min(height, width)) / 100)
             smallest = self._needed(round(height * least), round(width * least))

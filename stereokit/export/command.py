@@ -1,6 +1,7 @@
 """`stereokit export`."""
 
 import argparse
+import sys
 from collections.abc import Callable
 
 from torch import nn
@@ -66,7 +67,9 @@ def run(options: argparse.Namespace, load_network: Callable[[argparse.Namespace]
         raise ConfigError(f"--opset is for --to onnx; leave it out for {options.to}")
     if options.to != "openvino" and (options.precision not in (None, "float32") or options.calibrate):
         raise ConfigError(f"--precision and --calibrate are for --to openvino; leave them out for {options.to}")
-    print(_export(options, load_network(options)))
+    network = load_network(options)
+    print(f"writing {options.out} and comparing it with PyTorch; that may take minutes", file=sys.stderr)
+    print(_export(options, network))
 
 
 def _export(options: argparse.Namespace, network: nn.Module) -> ExportReport:

@@ -142,7 +142,10 @@ def find_chains(model: nn.Module, run: Callable[[nn.Module], Any]) -> list[Chain
 
 
 def fuse(model: nn.Module, chains: Sequence[Chain]) -> None:
-    """Puts a `FusedConvolution` in the place of each convolution, and an identity in that of what follows it."""
+    """Makes each convolution a `FusedConvolution`, and what follows it an identity.
+
+    They change in place: a network may call them by another way than by their names, from a list of its own say.
+    """
     modules = dict(model.named_modules())
     replaced: dict[nn.Module, nn.Module] = {}
     for chain in chains:
@@ -161,10 +164,9 @@ def fuse(model: nn.Module, chains: Sequence[Chain]) -> None:
             replaced[modules[chain.activation]] = nn.Identity()
         activation: Activation | None = None if after is None else fusable_activation(after)
         replaced[conv] = FusedConvolution(conv, norm, activation).eval()
-    for module in list(model.modules()):
-        for name, child in module._modules.items():
-            if child in replaced:
-                module._modules[name] = replaced[child]
+    for module, other in replaced.items():
+        module.__class__ = type(other)
+        module.__dict__ = other.__dict__
 
 
 def is_plain_norm(module: nn.Module) -> bool:

@@ -113,7 +113,9 @@ def test_pairs_are_held_to_limits_of_memory(exported, tmp_path):
     whole = Predictor(path, max_memory="100GB")(left, right)
     network = build_model(config).eval()
     allowed = int(0.5 * estimate_memory(network, 320, 700))
-    with pytest.raises(InputError, match=r"a pair of 700 x 320 pixels needs about .* too_large='tile' would match"):
+    with pytest.raises(
+        InputError, match=r"a pair of 700 x 320 pixels needs about .* too_large='tile' \(--too-large tile\) would match"
+    ):
         Predictor(path, max_memory=allowed)(left, right)
     tiled = Predictor(path, max_memory=allowed, too_large="tile")(left, right)
     # the network in the file looks no farther than a few pixels

@@ -129,3 +129,14 @@ def test_no_hooks_are_left_behind():
     net = Net(lambda net, x: net.act(net.norm(net.conv(x))), **layers())
     chains(net)
     assert not any(m._forward_hooks or m._forward_pre_hooks for m in net.modules())
+
+
+def test_layers_called_by_another_way_than_their_names_are_fused_too():
+    net = Net(lambda net, x: net.rows[1](net.rows[0](x)), conv=nn.Conv2d(2, 2, 1), norm=nn.BatchNorm2d(2)).eval()
+    net.norm.running_mean.uniform_(1, 2)
+    net.rows = [net.conv, net.norm]
+    x = torch.rand(1, 2, 4, 4)
+    expected = net(x)
+    fuse(net, find_chains(net, lambda net: net(x)))
+    assert isinstance(net.rows[0], FusedConvolution)
+    torch.testing.assert_close(net(x), expected)

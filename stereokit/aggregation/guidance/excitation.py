@@ -2,6 +2,7 @@
 
 from torch import Tensor, nn
 
+from stereokit.aggregation.guidance.shapes import check_guide
 from stereokit.layers import ConvNormAct, init_convolutions
 from stereokit.registry import GUIDANCE
 
@@ -41,6 +42,11 @@ class _PointwiseGuidance(nn.Module):
         init_convolutions(last)
         self.network = nn.Sequential(ConvNormAct(guide_channels, hidden, 1), last)
 
+    def values(self, volume: Tensor, guide: Tensor) -> Tensor:
+        """One value per channel of the volume and pixel, (B, volume_channels, H, W)."""
+        check_guide(volume, guide, self.volume_channels, self.guide_channels)
+        return self.network(guide)
+
 
 @GUIDANCE.register("gce")
 class GCE(_PointwiseGuidance):
@@ -56,6 +62,9 @@ class GCE(_PointwiseGuidance):
 
     Shape: volume (B, volume_channels, D, H, W) and guide (B, guide_channels, H, W) to the volume's shape.
 
+    Raises:
+        InputError: in its forward, volume and guide of other channels, or of sizes that differ.
+
     Source: CoEx, section "Guided Cost volume Excitation".
 
     >>> import torch
@@ -66,7 +75,7 @@ class GCE(_PointwiseGuidance):
 
     def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
         """Volume and guide to the excited volume."""
-        return excite(volume, self.network(guide))
+        return excite(volume, self.values(volume, guide))
 
 
 @GUIDANCE.register("addition")
@@ -79,6 +88,9 @@ class AdditiveGuidance(_PointwiseGuidance):
 
     Shape: volume (B, volume_channels, D, H, W) and guide (B, guide_channels, H, W) to the volume's shape.
 
+    Raises:
+        InputError: in its forward, volume and guide of other channels, or of sizes that differ.
+
     Source: CoEx, section "Ablation study", table "addition or excitation".
 
     >>> import torch
@@ -89,4 +101,4 @@ class AdditiveGuidance(_PointwiseGuidance):
 
     def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
         """Volume and guide to their sum."""
-        return volume + self.network(guide).unsqueeze(2)
+        return volume + self.values(volume, guide).unsqueeze(2)

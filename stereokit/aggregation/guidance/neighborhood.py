@@ -4,6 +4,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from stereokit.aggregation.guidance.shapes import check_guide
 from stereokit.errors import ConfigError
 from stereokit.layers import at_least_float32, init_convolutions, leaky_relu
 from stereokit.registry import GUIDANCE
@@ -62,6 +63,7 @@ class NeighborhoodAggregation(nn.Module):
 
     Raises:
         ConfigError: the window is even.
+        InputError: in its forward, volume and guide of other channels, or of sizes that differ.
 
     Source: CoEx, appendix "Neighborhood aggregation", equations "aggmpnn" and "edge".
 
@@ -117,5 +119,6 @@ class NeighborhoodAggregation(nn.Module):
 
     def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
         """Volume and guide to the updated volume."""
+        check_guide(volume, guide, self.volume_channels, self.guide_channels)
         message = neighborhood_sum(volume, self.weights(guide))
         return self.activation(self.keep(volume) + self.take_in(message))
