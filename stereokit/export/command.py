@@ -1,7 +1,6 @@
 """`stereokit export`."""
 
 import argparse
-import sys
 from collections.abc import Callable
 
 from torch import nn
@@ -68,7 +67,7 @@ def run(options: argparse.Namespace, load_network: Callable[[argparse.Namespace]
     if options.to != "openvino" and (options.precision not in (None, "float32") or options.calibrate):
         raise ConfigError(f"--precision and --calibrate are for --to openvino; leave them out for {options.to}")
     network = load_network(options)
-    print(f"writing {options.out} and comparing it with PyTorch; that may take minutes", file=sys.stderr)
+    print(f"writing {options.out} and comparing it with PyTorch; that may take minutes", flush=True)
     print(_export(options, network))
 
 

@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import torch
 from torch import nn
 
 from stereokit.backends.metadata import KEY, ExportMetadata
@@ -17,6 +16,7 @@ from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError
 from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
 from stereokit.export.onnx import check_onnx, to_onnx
+from stereokit.export.quantization import quantize
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
 
@@ -48,7 +48,7 @@ def export_openvino(
         path: ends in .xml.
         size: height and width that the file is for; None for any from 32 x 32 up.
         precision: "float32"; "bfloat16", which keeps the weights and asks OpenVINO to compute so where the machine can;
-            or "int8", quantised after training by NNCF.
+            or "int8": convolutions and matrix products quantised after training by NNCF.
         calibration: images (1, 3, H, W) like those to come, which "int8" measures the ranges of values on; 20 to 300
             pairs are usual.
         overwrite: replace existing files.
@@ -77,7 +77,7 @@ def export_openvino(
         converted = _convert(openvino, network, size, precision)
         chosen = [*check_pairs(network, size), *(pairs or {}).items()]
         if calibration is not None:
-            converted = _quantise(converted, calibration)
+            converted = quantize(converted, calibration)
             # a random texture is unlike what the ranges were measured on
             default = {f"calibration pair {i}": pair for i, pair in enumerate(calibration[:4])}
             chosen = list((pairs or default).items())
@@ -121,15 +121,3 @@ def _convert(openvino: Any, network: nn.Module, size: tuple[int, int] | None, pr
     converted = openvino.convert_model(io.BytesIO(proto.SerializeToString()))
     converted.set_rt_info(metadata.to_json(), KEY)
     return converted
-
-
-def _quantise(converted: Any, calibration: Sequence[Pair]) -> Any:
-    nncf = import_optional("nncf", "int8")
-    samples = [
-        {
-            name: (image / 255 if image.dtype == torch.uint8 else image).float().numpy()
-            for name, image in zip(("left", "right"), pair, strict=True)
-        }
-        for pair in calibration
-    ]
-    return nncf.quantize(converted, nncf.Dataset(samples), subset_size=len(samples))

@@ -4,6 +4,7 @@ import pytest
 from stereokit import ConfigError, InputError, Predictor, build_model
 from stereokit.export import export_openvino
 from stereokit.export.checking import random_pair
+from stereokit.export.quantization import outside_convolutions
 from tests.optimize.networks import settle
 
 openvino = pytest.importorskip("openvino")
@@ -51,8 +52,13 @@ def test_int8_is_near_and_says_how_near(tiny, tmp_path):
     assert len(report.differences) == 4
     assert "calibrated on 4 pairs; 20 to 300 are usual" in str(report)
     assert all(0 < difference.mean < 0.2 for difference in report.differences)
-    kinds = {op.get_type_name() for op in openvino.Core().read_model(tmp_path / "a.xml").get_ops()}
-    assert "FakeQuantize" in kinds
+    graph = openvino.Core().read_model(tmp_path / "a.xml")
+    quantizers = [op for op in graph.get_ops() if op.get_type_name() == "FakeQuantize"]
+    outside = [op for op in quantizers if op.get_friendly_name() in outside_convolutions(graph)]
+    # one behind the regression would cut off disparities above those of the calibration
+    assert [port.get_node().get_type_name() for op in outside for port in op.output(0).get_target_inputs()] == [
+        "Convolution"
+    ]
 
 
 def test_bad_requests_are_refused_and_leave_nothing(tiny, tmp_path):
