@@ -272,14 +272,13 @@ def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
             f"{name!r} is a file; a published checkpoint is read by stereokit.load_published, and exported files end "
             f"in {' or '.join(FILE_BACKENDS)}"
         )
-    if not os.path.isdir(name):
-        if weights := named_weights(name):
-            return load_weights(weights)
-        if not is_hub_id(name):
-            raise CheckpointError(
-                f"unknown network {name!r}; {suggest_weights(name)}; the folder of a saved network or an exported file "
-                "would do"
-            )
+    if weights := named_weights(name):
+        return load_weights(weights)
+    if not os.path.isdir(name) and not is_hub_id(name):
+        raise CheckpointError(
+            f"unknown network {name!r}; {suggest_weights(name)}; the folder of a saved network or an exported file "
+            "would do"
+        )
     return StereoModel.from_pretrained(name)
 
 

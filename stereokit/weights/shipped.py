@@ -96,7 +96,7 @@ def default_weights(network: str) -> str:
 def named_weights(name: str) -> str | None:
     """The weights that a name means: its own, or the default ones of a network; None where it is no such name.
 
-    What lies on disk under the name of a network goes before the network.
+    What lies on disk under the name goes before both.
 
     Raises:
         ConfigError: a network without weights, see `default_weights`.
@@ -104,9 +104,11 @@ def named_weights(name: str) -> str | None:
     >>> named_weights("coex"), named_weights("runs/mine")
     ('coex.synthetic_v2', None)
     """
+    if os.path.exists(name):
+        return None
     if name in WEIGHTS:
         return name
-    return default_weights(name) if name in MODELS and not os.path.exists(name) else None
+    return default_weights(name) if name in MODELS else None
 
 
 def suggest_weights(name: str) -> str:

@@ -13,7 +13,15 @@ from stereokit.metrics import end_point_error
 from stereokit.model import StereoModel
 from stereokit.provenance import file_sha256, state_sha256
 from stereokit.registry import WEIGHTS
-from stereokit.weights import DEFAULTS, default_weights, list_weights, load_weights, read_manifest, weights_folder
+from stereokit.weights import (
+    DEFAULTS,
+    default_weights,
+    list_weights,
+    load_weights,
+    named_weights,
+    read_manifest,
+    weights_folder,
+)
 from stereokit.weights.release import main, release
 
 OURS = [name for name in list_weights() if weights_folder(name).parent.name == "weights"]
@@ -83,6 +91,14 @@ def test_every_way_to_the_weights_leads_to_the_same(registered, mine):
         for key, value in model.state_dict().items():
             assert torch.equal(value, expected[key].to(value.dtype))
     assert "coex.mine" in list_weights("coex.*")
+
+
+def test_what_lies_on_disk_goes_before_the_name(registered, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    build_model("coex", max_disparity=96).save_pretrained("coex.own")
+    monkeypatch.setitem(WEIGHTS._factories, "coex.own", lambda: registered)
+    assert named_weights("coex.own") is None
+    assert Predictor("coex.own", device="cpu").model.config["max_disparity"] == 96
 
 
 def test_overrides_that_fit_and_overrides_that_do_not(registered):
