@@ -2,11 +2,12 @@
 
     python benchmarks/inference_speed.py
     python benchmarks/inference_speed.py --model psmnet --size 256 512 --skip compiled
+    python benchmarks/inference_speed.py --device cuda --rounds 30
 
 The plain form is written afresh from how the published networks compute: the correlation stacks all shifted features,
 a full sort finds the top k, batch norms run on their own, the superpixel upsampling enlarges nine maps to full size,
 and memory formats are PyTorch's defaults. Each form has a process of its own, and they take turns. The errors are
-against the plain form, on noise as images.
+against the plain form, on noise as images, which lie on the device already.
 """
 
 import argparse
@@ -31,12 +32,14 @@ from stereokit import (
     build_model,
     load_published,
 )
+from stereokit.backends.compiled import compile_network
+from stereokit.inference import choose_device
 from stereokit.optimize import keep_freed_memory, prepare_for_inference
 from stereokit.optimize.convolution import cpu_has
 
 RIVAL = "published form"
 # form: whether the network is plain, prepared, compiled; its precision; whether freed memory is kept
-FORMS: dict[str, dict[str, Any]] = {
+CPU_FORMS: dict[str, dict[str, Any]] = {
     RIVAL: {"kind": "published"},
     f"{RIVAL}, memory kept": {"kind": "published", "keep": True},
     "stereokit": {"kind": "plain"},
@@ -44,6 +47,16 @@ FORMS: dict[str, dict[str, Any]] = {
     "prepared, memory kept": {"kind": "prepared", "keep": True},
     "compiled, memory kept": {"kind": "compiled", "keep": True},
     "bfloat16, memory kept": {"kind": "prepared", "keep": True, "precision": "bfloat16"},
+}
+# where torch keeps freed memory anyway
+OTHER_FORMS: dict[str, dict[str, Any]] = {
+    RIVAL: {"kind": "published"},
+    "stereokit": {"kind": "plain"},
+    "prepared": {"kind": "prepared"},
+    "prepared, float16": {"kind": "prepared", "precision": "float16"},
+    "compiled": {"kind": "compiled"},
+    "compiled, bfloat16": {"kind": "compiled", "precision": "bfloat16"},
+    "compiled, float16": {"kind": "compiled", "precision": "float16"},
 }
 
 
@@ -110,13 +123,26 @@ def network(options: argparse.Namespace) -> Any:
     return model
 
 
-def work(options: argparse.Namespace) -> None:
+def forms_of(device: torch.device) -> dict[str, dict[str, Any]]:
+    """The forms that make a difference on a device."""
+    if device.type != "cpu":
+        return OTHER_FORMS
+    return {form: how for form, how in CPU_FORMS.items() if "precision" not in how or cpu_has(torch.bfloat16)}
+
+
+def name_of(device: torch.device) -> str:
+    """What the network runs on."""
+    if device.type == "cpu":
+        return f"{torch.get_num_threads()} threads, {torch.backends.cpu.get_cpu_capability()}"
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else str(device)
+
+
+def work(options: argparse.Namespace, device: torch.device) -> None:
     """One form, in a process of its own."""
-    form = FORMS[options.worker]
-    torch.set_num_threads(options.threads)
+    form = forms_of(device)[options.worker]
     if form.get("keep"):
         keep_freed_memory()
-    model = network(options).eval()
+    model = network(options).to(device).eval()
     start = time.perf_counter()
     if form["kind"] == "published":
         model = published_form(model)
@@ -124,23 +150,24 @@ def work(options: argparse.Namespace) -> None:
         model = prepare_for_inference(model, precision=form.get("precision", "float32"))
     report = {"preparation": time.perf_counter() - start}
     generator = torch.Generator().manual_seed(0)
-    images = torch.rand(2, 1, 3, *options.size, generator=generator).unbind()
+    images = torch.rand(2, 1, 3, *options.size, generator=generator).to(device).unbind()
     with torch.inference_mode():
         if form["kind"] == "compiled":
-            model = torch.compile(model)
+            model = compile_network(model, device)
             start = time.perf_counter()
             model(*images)
             report["compilation"] = time.perf_counter() - start
         for _ in range(2):
             disparity = model(*images).disparity
-        np.save(options.result, disparity.numpy())
+        np.save(options.result, disparity.float().cpu().numpy())
         serve(report, lambda: model(*images))
 
 
-def compare(options: argparse.Namespace, forms: list[str]) -> None:
+def compare(options: argparse.Namespace, device: torch.device) -> None:
+    forms = [form for form in forms_of(device) if form == RIVAL or not form.startswith(tuple(options.skip))]
     height, width = options.size
-    print(f"{options.model}, {height} x {width}, D = {options.max_disparity}, {options.threads} threads, ", end="")
-    print(f"{torch.backends.cpu.get_cpu_capability()}, torch {torch.__version__}, load {os.getloadavg()[0]:.1f}")
+    print(f"{options.model}, {height} x {width}, D = {options.max_disparity}, {name_of(device)}, ", end="")
+    print(f"torch {torch.__version__}, load {os.getloadavg()[0]:.1f}")
     with tempfile.TemporaryDirectory() as folder:
         results = {form: f"{folder}/{i}.npy" for i, form in enumerate(forms)}
         reports, medians = take_turns(forms, options.rounds, lambda form: ["--worker", form, "--result", results[form]])
@@ -153,7 +180,7 @@ def compare(options: argparse.Namespace, forms: list[str]) -> None:
         shares = medians[form] / medians[RIVAL]
         error = np.quantile(np.abs(disparities[form] - disparities[RIVAL]), 0.999)
         ready = reports[form]["preparation"] + reports[form].get("compilation", 0)
-        row = f"{wall:.3f} | {shares[0]:.2f} | {processor:.3f} | {shares[1]:.2f} | {error:.1e} | {ready:.1f}"
+        row = f"{wall:.4f} | {shares[0]:.2f} | {processor:.4f} | {shares[1]:.2f} | {error:.1e} | {ready:.1f}"
         print(f"| {form} | {row} |")
 
 
@@ -164,20 +191,20 @@ def main() -> int:
     parser.add_argument("--channel-order", default="bgr", choices=("bgr", "rgb"), help="of published checkpoints")
     parser.add_argument("--size", nargs=2, type=int, default=(384, 1248), metavar=("HEIGHT", "WIDTH"))
     parser.add_argument("--max-disparity", type=int, default=192)
+    parser.add_argument("--device", default="cpu", help="cpu, cuda or another one of torch's")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--rounds", type=int, default=11)
     parser.add_argument("--skip", action="append", default=[], help="forms whose name starts like this; repeat")
-    parser.add_argument("--worker", choices=FORMS, help=argparse.SUPPRESS)
+    parser.add_argument("--worker", help=argparse.SUPPRESS)
     parser.add_argument("--result", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    forms = [form for form in FORMS if form == RIVAL or not form.startswith(tuple(options.skip))]
-    if not cpu_has(torch.bfloat16):
-        forms = [form for form in forms if FORMS[form].get("precision") != "bfloat16"]
+    torch.set_num_threads(options.threads)
     try:
+        device = choose_device(options.device)
         if options.worker:
-            work(options)
+            work(options, device)
         else:
-            compare(options, forms)
+            compare(options, device)
     except StereoKitError as error:
         print(f"inference_speed: {error}", file=sys.stderr)
         return 2
