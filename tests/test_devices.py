@@ -23,7 +23,7 @@ def expected(scene):
     """Of the plain network, on the CPU."""
     left, right = (torch.from_numpy(image).permute(2, 0, 1).unsqueeze(0) for image in (scene.left, scene.right))
     with torch.inference_mode():
-        return load_weights("coex.synthetic_v2")(left, right).disparity[0].numpy()
+        return load_weights("coex.synthetic_v3")(left, right).disparity[0].numpy()
 
 
 @pytest.mark.parametrize("backend", ["torch", pytest.param("compile", marks=pytest.mark.slow)])
