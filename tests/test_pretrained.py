@@ -250,7 +250,7 @@ def test_the_hub_is_not_asked_for_what_is_no_repository(no_hub, tmp_path, monkey
         StereoModel.from_pretrained(name)
 
 
-@pytest.mark.parametrize("name", ["coez", "PSMNet", "nofolder", "coex.synthetic_v3", "./nofolder"])
+@pytest.mark.parametrize("name", ["coez", "PSMNet", "nofolder", "coex.synthetic_v99", "./nofolder"])
 def test_unknown_names_of_networks_are_not_asked_for_either(no_hub, name):
     with pytest.raises(CheckpointError, match=f"unknown network '{name}'; .*an exported file would do") as refusal:
         Predictor(name)
