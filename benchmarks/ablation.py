@@ -104,7 +104,7 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     # rows that train alike, whatever they test, share a run
     at_test = settings_of(row)
     overrides = {**at_test, "regression": {**at_test["regression"], "test_k": None}}
-    network, run = trained(row.model, overrides, options)
+    network, run = trained(row.model, overrides, asked, options)
     model = build_model(row.model, **at_test)
     model.load_state_dict(network.state_dict())
     result = {"asked": asked, "row": describe(row), "run": run, **tested(model, options)}
@@ -113,8 +113,11 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     return result
 
 
-def trained(model: str, overrides: dict[str, Any], options: argparse.Namespace) -> tuple[StereoModel, dict[str, Any]]:
-    folder = options.out / "runs" / "_".join([model, *words(overrides)])
+def trained(
+    model: str, overrides: dict[str, Any], asked: dict[str, Any], options: argparse.Namespace
+) -> tuple[StereoModel, dict[str, Any]]:
+    budget = {**asked, "crop": "x".join(map(str, options.crop)), "test_scenes": None}
+    folder = options.out / "runs" / "_".join(words(budget)) / "_".join([model, *words(overrides)])
     if (folder / "network" / "training.json").is_file():
         record = json.loads((folder / "network" / "training.json").read_text(encoding="utf-8"))
         return StereoModel.from_pretrained(folder / "network"), summary(record)
@@ -151,7 +154,8 @@ def tested(model: StereoModel, options: argparse.Namespace) -> dict[str, Any]:
     device = torch.device("cuda" if torch.cuda.is_available() and options.accelerator != "cpu" else "cpu")
     model.eval().to(device)
     height, width = options.crop
-    scenes = SyntheticScenes(seed=TEST_SEED, size=(height, width), max_disparity=112.0, count=options.test_scenes)
+    settings: dict[str, Any] = {**(load_recipe("synthetic").scenes or {}), "size": (height, width)}
+    scenes = SyntheticScenes(**settings, seed=TEST_SEED, count=options.test_scenes)
     metrics = StereoMetrics()
     for index in tqdm(range(len(scenes)), unit="scene", leave=False):
         batch = to_batch(scenes[index])

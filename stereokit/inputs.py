@@ -11,7 +11,7 @@ from torch import Tensor
 from stereokit.data.images import read_image
 from stereokit.errors import InputError
 
-__all__ = ["ImageLike", "to_image_tensor", "to_pair"]
+__all__ = ["ImageLike", "as_float", "to_image_tensor", "to_pair"]
 
 ImageLike: TypeAlias = Union[str, "os.PathLike[str]", npt.NDArray[Any], Tensor, Any]
 """A path, an array (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), a tensor (H, W), (1, H, W), (3, H, W) or
@@ -69,8 +69,17 @@ def to_pair(left: ImageLike, right: ImageLike) -> tuple[Tensor, Tensor]:
             f"the left image is {lw} x {lh} pixels, the right one {rw} x {rh}; a rectified pair has one size"
         )
     if left.dtype != right.dtype:
-        left, right = (x / 255 if x.dtype == torch.uint8 else x for x in (left, right))
+        left, right = as_float(left), as_float(right)
     return left, right
+
+
+def as_float(images: Tensor) -> Tensor:
+    """Images in [0, 1], whether they are uint8 or in [0, 1] already.
+
+    >>> as_float(torch.tensor([0, 255], dtype=torch.uint8))
+    tensor([0., 1.])
+    """
+    return images / 255 if images.dtype == torch.uint8 else images
 
 
 def _channels_last(tensor: Tensor, name: str) -> npt.NDArray[Any]:

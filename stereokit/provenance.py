@@ -23,6 +23,7 @@ PACKAGES = (
     "opencv-python-headless",
     "opencv-python",
     "timm",
+    "lightning",
     "einops",
     "safetensors",
     "onnx",

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.errors import ConfigError, InputError
+from stereokit.inputs import as_float
 from stereokit.memory import (
     MemorySize,
     available_memory,
@@ -207,8 +208,7 @@ def reduced_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
 
 
 def _reduce(images: Tensor, size: tuple[int, int]) -> Tensor:
-    images = images / 255 if images.dtype == torch.uint8 else images
-    return F.interpolate(images, size, mode="area")
+    return F.interpolate(as_float(images), size, mode="area")
 
 
 def _enlarge(values: Tensor, size: tuple[int, int]) -> Tensor:

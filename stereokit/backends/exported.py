@@ -15,6 +15,7 @@ from stereokit.backends.estimate import Estimate
 from stereokit.backends.metadata import ExportMetadata
 from stereokit.builder import build_model
 from stereokit.errors import ConfigError, InputError
+from stereokit.inputs import as_float
 from stereokit.memory import estimate_memory
 from stereokit.model import check_least_size
 
@@ -54,9 +55,7 @@ class ExportedBackend(ABC):
             InputError: the file was exported for another size.
         """
         self._check_size(*left.shape[-2:])
-        lefts, rights = (
-            (x / 255 if x.dtype == torch.uint8 else x).to("cpu", torch.float32).numpy() for x in (left, right)
-        )
+        lefts, rights = (as_float(x).to("cpu", torch.float32).numpy() for x in (left, right))
         outputs = [self.run(a[None], b[None]) for a, b in zip(lefts, rights, strict=True)]
         disparity, *confidence = (np.concatenate(maps) for maps in zip(*outputs, strict=True))
         return Estimate(disparity, confidence[0] if confidence else None)

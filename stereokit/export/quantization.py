@@ -4,10 +4,9 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
-import torch
-
 from stereokit.backends.optional import import_optional
 from stereokit.export.checking import Pair
+from stereokit.inputs import as_float
 
 __all__ = ["outside_convolutions", "quantize"]
 
@@ -33,10 +32,7 @@ def quantize(graph: Any, calibration: Sequence[Pair]) -> Any:
     """
     nncf = import_optional("nncf", "int8")
     samples = [
-        {
-            name: (image / 255 if image.dtype == torch.uint8 else image).float().numpy()
-            for name, image in zip(("left", "right"), pair, strict=True)
-        }
+        {name: as_float(image).float().numpy() for name, image in zip(("left", "right"), pair, strict=True)}
         for pair in calibration
     ]
     # a line for each operation that is left out

@@ -1,13 +1,14 @@
 """The average of the weights, by Lightning's callback."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import torch
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import WeightAveraging
 from torch import Tensor
 
+from stereokit.model import StereoModel
 from stereokit.training.recipe import Averaging
 
 __all__ = ["AveragedWeights"]
@@ -34,6 +35,11 @@ class AveragedWeights(WeightAveraging):
         self.progress = progress
         self.averaged_steps = 0
 
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Keeps the average where the network will be: it is still on the CPU here."""
+        self._device = trainer.strategy.root_device
+        super().setup(trainer, pl_module, stage)
+
     def share(self) -> float:
         """Of the next weights."""
         if self.settings.kind == "swa":
@@ -47,6 +53,13 @@ class AveragedWeights(WeightAveraging):
         if self.settings.kind == "ema" or self.progress() >= self.settings.start:
             self.averaged_steps += 1
         super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
+
+    @property
+    def network(self) -> StereoModel:
+        """The network with the average."""
+        assert self._average_model is not None
+        training = cast(Any, self._average_model.module)
+        return cast(StereoModel, training.model)
 
     def state_dict(self) -> dict[str, Any]:
         """Adds the number of steps in the average."""

@@ -70,7 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
     """The command, with the options that `stereokit train --help` lists."""
     from stereokit.training import train, with_length
+    from stereokit.training.run import is_first_process
 
+    if options.weights is None and (options.channel_order is not None or options.top_k is not None):
+        raise ConfigError("--channel-order and --top-k are for published checkpoints; give --weights with one")
     recipe = with_length(load_recipe(options.recipe), steps=options.steps, batch=options.batch)
     options.model = recipe.model["name"]
     outcome = train(
@@ -94,6 +97,8 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
         validate_every=options.validate_every,
         command=shlex.join(["stereokit", *options.arguments]),
     )
+    if not is_first_process():
+        return
     record: Any = outcome.record
     print(
         f"{record['steps']} steps, {record['pairs_seen']} pairs, {record['seconds'] / 60:.1f} minutes; "

@@ -67,7 +67,8 @@ class StereoData(LightningDataModule):
         rank, processes = self.trainer.global_rank, self.trainer.world_size
         return [
             DataLoader(
-                Subset(_ValidationSamples(pairs), range(rank, len(pairs), processes)),
+                # Lightning wants a pair for each process
+                Subset(_ValidationSamples(pairs), range(rank, max(len(pairs), processes), processes)),
                 batch_size=None,
                 persistent_workers=self.workers > 0,
                 **worker_processes(self.workers),
@@ -77,11 +78,16 @@ class StereoData(LightningDataModule):
 
 
 class _ValidationSamples(Dataset[Batch]):
+    """The pairs, and behind them the first one without its ground truth, which counts nowhere."""
+
     def __init__(self, pairs: Sequence[StereoSample]) -> None:
         self.pairs = pairs
 
     def __getitem__(self, index: int) -> Batch:
-        return to_batch(self.pairs[index])
+        if index < len(self.pairs):
+            return to_batch(self.pairs[index])
+        batch = to_batch(self.pairs[0])
+        return {**batch, "disparity": torch.full_like(batch["disparity"], torch.nan)}
 
     def __len__(self) -> int:
         return len(self.pairs)

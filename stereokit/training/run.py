@@ -12,7 +12,7 @@ from typing import Any, cast
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import LightningModule, Trainer, seed_everything
-from lightning.pytorch.callbacks import Callback, Checkpoint, ModelCheckpoint, TQDMProgressBar
+from lightning.pytorch.callbacks import Callback, Checkpoint, TQDMProgressBar
 from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
@@ -20,17 +20,19 @@ from lightning.pytorch.utilities import rank_zero_only
 from stereokit.builder import build_model
 from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.data.datasets import open_dataset
-from stereokit.data.datasets.dataset import StereoSample
+from stereokit.data.datasets.dataset import StereoDataset, StereoSample
 from stereokit.data.synthetic import SyntheticScenes
-from stereokit.errors import CheckpointError, ConfigError, InputError
+from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.model import StereoModel
 from stereokit.provenance import commit, machine, state_sha256, versions
 from stereokit.training.averaging import AveragedWeights
+from stereokit.training.best import BestNetwork
 from stereokit.training.data import StereoData, usual_workers
 from stereokit.training.module import StereoTraining
 from stereokit.training.pictures import ValidationPictures
 from stereokit.training.recipe import Recipe
 from stereokit.training.samples import TrainingSamples
+from stereokit.training.statistics import SharedBatchStatistics
 
 __all__ = ["Outcome", "train"]
 
@@ -120,9 +122,9 @@ def train(
 ) -> Outcome:
     """Trains a network and saves it.
 
-    Everything goes into one folder: `run.json` (what was asked for), `checkpoints/last.ckpt` and `best.ckpt` (by
-    bad-3 in validation), `logs/` (CSV and TensorBoard), `pictures/` of validation pairs, and in the end `network/`
-    (for `Predictor` and `from_pretrained`) with `training.json`.
+    Everything goes into one folder: `run.json` (what was asked for), `checkpoints/last.ckpt`, `logs/` (CSV and
+    TensorBoard), `pictures/` of validation pairs, `best/` (the network of the smallest mean bad-3 in validation) and in
+    the end `network/`, both for `Predictor` and `from_pretrained`, with `training.json`.
 
     Killed at any moment and started again with `resume`, it goes on from the last checkpoint and comes to the same
     result as an unbroken run, to within floating point.
@@ -152,8 +154,8 @@ def train(
 
     Raises:
         InputError: data that can't be used, or a folder that holds a run already.
-        ConfigError: settings that do not go together, that the machine does not have, or other ones than those of the
-            run to resume.
+        ConfigError: settings that do not go together, that the machine does not have, other ones than those of the
+            run to resume, or a model that is not the recipe's.
         CheckpointError: the checkpoint can't be read.
         TrainingError: losses stay infinite or NaN.
     """
@@ -167,6 +169,8 @@ def train(
             "network, a published checkpoint or a name of stereokit list weights; from_weights = false in a recipe of "
             "one's own trains from random weights"
         )
+    if model is not None:
+        _check_model(recipe, model)
     samples, validation_sets = _open(recipe, data, validation, textures, seed)
     steps = recipe.schedule.total_steps(samples.pairs)
     asked = {
@@ -182,29 +186,44 @@ def train(
         _check_checkpoint(last, steps, minutes)
 
     seed_everything(seed, verbose=False)
-    network = model if model is not None else _new_network(recipe)
+    network = _new_network(recipe) if model is None else model.train()
     training = StereoTraining(
         network, recipe, steps=steps, minutes=minutes, validation=tuple(validation_sets), compile=compile
     )
     checkpoint = _LastCheckpoint(last, checkpoint_every)
-    callbacks: list[Callback] = [_ProgressBar(), checkpoint]
-    if recipe.averaging.kind != "none":
-        callbacks.append(AveragedWeights(recipe.averaging, lambda: training.progress))
+    # ahead of the network's conversion for several GPUs, which its copy is not meant to see
+    averaged = None if recipe.averaging.kind == "none" else AveragedWeights(recipe.averaging, lambda: training.progress)
+    callbacks: list[Callback] = [] if averaged is None else [averaged]
+    callbacks += [_ProgressBar(), checkpoint, SharedBatchStatistics()]
+
+    def save(folder: Path, trained: StereoModel) -> dict[str, Any]:
+        record = {
+            **asked,
+            "steps": trainer.global_step,
+            "pairs_seen": training.pairs_seen,
+            "broken_steps": training.broken_steps,
+            "seconds": round(training.seconds, 1),
+            "weights_sha256": state_sha256(trained.state_dict()),
+            "validation": training.errors,
+            **_circumstances(command),
+        }
+        if is_first_process():
+            trained.save_pretrained(folder)
+            _write_json(folder / "training.json", record)
+        return record
+
     if validation_sets:
         callbacks += [
             ValidationPictures(out / "pictures", tuple(validation_sets)),
-            ModelCheckpoint(last.parent, "best", monitor="validation/bad_3", enable_version_counter=False),
+            BestNetwork(lambda: save(out / "best", network if averaged is None else averaged.network)),
         ]
-    processes = devices if isinstance(devices, int) else 1
     try:
         with _without_noise():
             trainer = Trainer(
                 accelerator=accelerator,
                 devices=devices,
                 num_nodes=nodes,
-                strategy="ddp" if processes * nodes > 1 else "auto",
                 precision=precision,  # type: ignore[arg-type]
-                sync_batchnorm=processes * nodes > 1 and torch.cuda.is_available() and accelerator != "cpu",
                 max_steps=steps,
                 max_epochs=1,
                 gradient_clip_val=recipe.optimisation.gradient_clip,
@@ -224,7 +243,7 @@ def train(
             f"this machine does not train on accelerator {accelerator!r}, devices {devices!r} with precision "
             f"{precision!r}: {' '.join(str(error).split())}"
         ) from error
-    if _is_first_process():
+    if is_first_process():
         _prepare_folder(out, asked, resume=resume, command=command)
         if goes_on:
             print(f"goes on with the run in {out}")
@@ -238,26 +257,15 @@ def train(
         batch=recipe.schedule.batch,
         steps=steps,
         validation=validation_sets,
-        workers=usual_workers(processes) if workers is None else workers,
+        workers=usual_workers(trainer.num_devices) if workers is None else workers,
     )
-    with _without_noise():
+    with _without_noise(), _in_one_line():
         trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
     if trainer.interrupted:
         raise KeyboardInterrupt
     network.cpu().eval()
-    record = {
-        **asked,
-        "steps": trainer.global_step,
-        "pairs_seen": training.pairs_seen,
-        "broken_steps": training.broken_steps,
-        "seconds": round(training.seconds, 1),
-        "weights_sha256": state_sha256(network.state_dict()),
-        "validation": training.errors,
-        **_circumstances(command),
-    }
-    if _is_first_process():
-        network.save_pretrained(out / "network")
-        _write_json(out / "network" / "training.json", record)
+    record = save(out / "network", network)
+    if is_first_process():
         checkpoint.end.replace(last)
     return Outcome(network, out / "network", record)
 
@@ -280,6 +288,18 @@ def _without_noise() -> Iterator[None]:
         logger.setLevel(level)
 
 
+@contextmanager
+def _in_one_line() -> Iterator[None]:
+    """Errors of a loader's process without the traceback that comes along as text."""
+    try:
+        yield
+    except StereoKitError as error:
+        _, traceback, message = str(error).rpartition(f"{type(error).__module__}.{type(error).__qualname__}: ")
+        if not traceback:
+            raise
+        raise type(error)(message.strip()) from None
+
+
 def _open(
     recipe: Recipe, data: Sequence[str], validation: Sequence[str], textures: str | Path | None, seed: int
 ) -> tuple[TrainingSamples, dict[str, Sequence[StereoSample]]]:
@@ -289,11 +309,11 @@ def _open(
         raise InputError(f"recipe {recipe.name!r} trains on files: give --data {recipe.data or 'KIND:ROOT'}")
     if textures is not None and not rendered:
         raise ConfigError("textures are for rendered scenes; this run reads its pairs from files")
-    datasets: list[Any] = [open_dataset(spec) for spec in data]
+    datasets: list[Any] = [_open_known(spec) for spec in data]
     sets: dict[str, Any] = {}
     for spec in validation:
         name = spec.partition(":")[0].partition(",")[0]
-        sets[name if name not in sets else f"{name}_{len(sets)}"] = open_dataset(spec)
+        sets[name if name not in sets else f"{name}_{len(sets)}"] = _open_known(spec)
     if rendered:
         settings: dict[str, Any] = {
             key: tuple(v) if isinstance(v, list) else v for key, v in (recipe.scenes or {}).items()
@@ -309,6 +329,37 @@ def _open(
     return TrainingSamples(datasets, recipe.augmentation, seed=seed), sets
 
 
+def _open_known(spec: str) -> StereoDataset:
+    """A data set with ground truth for each pair."""
+    dataset = open_dataset(spec)
+    unknown = [entry.name for entry in dataset.entries if entry.disparity is None]
+    if unknown:
+        raise InputError(
+            f"{len(unknown)} of {len(dataset)} pairs of {spec!r} have no ground truth to train on or to validate on, "
+            f"{unknown[0]!r} the first of them"
+        )
+    return dataset
+
+
+def _check_model(recipe: Recipe, model: StereoModel) -> None:
+    """Sees that a network to go on from is what the recipe says."""
+    overrides = dict(recipe.model)
+    name = overrides.pop("name")
+    overrides.pop("pretrained_backbone", None)
+    given = dict(model.config)
+    wanted = dict(build_model(model.config, **overrides).config) if given["name"] == name else {"name": name}
+    differing = [key for key, value in wanted.items() if given[key] != value]
+    if differing:
+        raise ConfigError(
+            f"recipe {recipe.name!r} is for {_slots(wanted, differing)}, and the network to go on from has "
+            f"{_slots(given, differing)}; a recipe of one's own says otherwise in [model]"
+        )
+
+
+def _slots(config: Mapping[str, Any], keys: Sequence[str]) -> str:
+    return ", ".join(f"{key} {config[key]!r}" for key in keys)
+
+
 def _new_network(recipe: Recipe) -> StereoModel:
     options = dict(recipe.model)
     network = build_model(options.pop("name"), **options)
@@ -320,8 +371,10 @@ def _new_network(recipe: Recipe) -> StereoModel:
 def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: str | None) -> None:
     """Makes the folder of a new run, or sees that the one there is of the same run."""
     record = out / "run.json"
-    if not record.exists():
-        if out.exists() and any(out.iterdir()):
+    # a run that failed before its first checkpoint left nothing to lose
+    begun = record.exists() and (resume or any(out.glob("checkpoints/*")) or (out / "network").exists())
+    if not begun:
+        if not record.exists() and out.exists() and any(out.iterdir()):
             raise InputError(f"the folder {str(out)!r} is not empty and holds no run; choose another --out")
         make_folder(out / "checkpoints")
         _write_json(record, {**asked, **_circumstances(command)})
@@ -360,12 +413,16 @@ def _check_checkpoint(path: Path, steps: int, minutes: float | None) -> None:
 def _settled(run: Mapping[str, Any]) -> dict[str, Any]:
     """What can't change between the start of a run and its resumption: all but its length."""
     recipe = dict(run["recipe"])
-    schedule = {key: value for key, value in recipe.pop("schedule").items() if key not in ("steps", "epochs")}
+    schedule = dict(recipe.pop("schedule"))
+    # in epochs or in parts of the run, and it may have changed from the one to the other
+    schedule["milestones"] = [round(at / (schedule["epochs"] or 1), 9) for at in schedule["milestones"]]
+    del schedule["steps"], schedule["epochs"]
     settled = {key: run[key] for key in ("seed", "data", "textures", "start")}
     return {**settled, **recipe, **{f"schedule.{key}": value for key, value in schedule.items()}}
 
 
-def _is_first_process() -> bool:
+def is_first_process() -> bool:
+    """Whether this is the one process of several that writes and prints."""
     return getattr(rank_zero_only, "rank", 0) == 0
 
 

@@ -13,7 +13,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from stereokit.data.augmentation import Augmentation
 from stereokit.data.datasets.dataset import StereoSample
 from stereokit.errors import InputError
-from stereokit.inputs import to_pair
+from stereokit.inputs import as_float, to_pair
 
 __all__ = ["Batch", "ResumableLoader", "TrainingSamples", "to_batch", "worker_processes"]
 
@@ -178,10 +178,12 @@ class _Numbers(Sampler[list[int]]):
 
 
 def _collate(samples: list[Batch]) -> Batch:
-    left, right, disparity = (
-        torch.cat([sample[part] for sample in samples]) for part in ("left", "right", "disparity")
+    alike = len({sample["left"].dtype for sample in samples}) == 1
+    left, right = (
+        torch.cat([sample[view] if alike else as_float(sample[view]) for sample in samples])
+        for view in ("left", "right")
     )
-    return Batch(left=left, right=right, disparity=disparity)
+    return Batch(left=left, right=right, disparity=torch.cat([sample["disparity"] for sample in samples]))
 
 
 def worker_processes(workers: int) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -20,6 +21,7 @@ from stereokit.data.synthetic.command import write_scenes
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inference import Predictor
 from stereokit.model import StereoModel
+from stereokit.provenance import state_sha256
 from stereokit.training import StereoTraining, TrainingSamples, train, with_length
 from stereokit.training.data import StereoData
 from tests.training.tiny import TINY
@@ -45,7 +47,9 @@ def test_a_run_leaves_a_network_with_its_record(tmp_path, capsys):
     assert {
         "run.json",
         "checkpoints/last.ckpt",
-        "checkpoints/best.ckpt",
+        "best/config.json",
+        "best/model.safetensors",
+        "best/training.json",
         "logs/csv/version_0/metrics.csv",
         "network/config.json",
         "network/model.safetensors",
@@ -113,7 +117,7 @@ def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
 
 def test_a_finished_run_can_be_made_longer(tmp_path):
     train(with_length(TINY, steps=4), tmp_path, checkpoint_every=2, **CPU)
-    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt", "best.ckpt"}
+    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt"}
     with pytest.raises(ConfigError, match="is finished: it is at step 4, and 4 steps were asked for"):
         train(with_length(TINY, steps=4), tmp_path, resume=True, **CPU)
     longer = train(with_length(TINY, steps=6), tmp_path, resume=True, checkpoint_every=4, **CPU)
@@ -188,6 +192,74 @@ def test_a_recipe_for_fine_tuning_wants_weights(tmp_path, name, capsys):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_network_to_go_on_from_is_what_the_recipe_says(tmp_path):
+    start = build_model("coex", max_disparity=64, top_k=3)
+    with pytest.raises(ConfigError, match=r"is for max_disparity 32, and the network .* has max_disparity 64"):
+        train(TINY, tmp_path / "run", model=start, **CPU)
+    with pytest.raises(ConfigError, match="is for name 'psmnet', and the network to go on from has name 'coex'"):
+        train(replace(TINY, model={"name": "psmnet"}), tmp_path / "run", model=start, **CPU)
+    assert not (tmp_path / "run").exists()
+    # what the recipe leaves open may differ, and networks come in eval mode
+    recipe = with_length(replace(TINY, model={"name": "coex"}), steps=1)
+    outcome = train(recipe, tmp_path / "run", model=start.eval(), **CPU)
+    assert outcome.model.config == start.config
+    assert any("running_mean" in name and value.abs().sum() > 0 for name, value in outcome.model.named_buffers())
+
+
+def test_the_best_network_is_kept(tmp_path, monkeypatch):
+    found = iter([30.0, 10.0, 20.0])
+    ends = StereoTraining.on_validation_epoch_end
+
+    def end(self):
+        ends(self)
+        self.errors["validation/bad_3"] = next(found)
+
+    monkeypatch.setattr(StereoTraining, "on_validation_epoch_end", end)
+    train(TINY, tmp_path, validate_every=2, **CPU)
+    record = json.loads((tmp_path / "best" / "training.json").read_text())
+    assert (record["steps"], record["validation"]["validation/bad_3"]) == (4, 10.0)
+    best = StereoModel.from_pretrained(tmp_path / "best")
+    assert state_sha256(best.state_dict()) == record["weights_sha256"]
+    last = json.loads((tmp_path / "network" / "training.json").read_text())
+    assert last["weights_sha256"] != record["weights_sha256"]
+
+
+def test_the_length_changes_from_epochs_to_steps(tmp_path):
+    recipe = replace(TINY, schedule=replace(TINY.schedule, steps=None, epochs=3, milestones=(1.0,)))
+    recipe = replace(recipe, scenes={**TINY.scenes, "count": 2})
+    train(recipe, tmp_path, **CPU)
+    longer = train(with_length(recipe, steps=4), tmp_path, resume=True, **CPU)
+    assert longer.record["steps"] == 4
+
+
+def test_pairs_without_ground_truth_are_refused_ahead(tmp_path):
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    for view in ("left", "right"):
+        (tmp_path / "pairs" / view).mkdir(parents=True)
+        for image in sorted((tmp_path / "data").rglob(f"{view}/*.png")):
+            (tmp_path / "pairs" / view / image.name).write_bytes(image.read_bytes())
+    blind, seeing = f"folder:{tmp_path / 'pairs'}", f"sceneflow/train:{tmp_path / 'data'}"
+    for sets in ({"data": [blind]}, {"data": [seeing], "validation": [blind]}):
+        with pytest.raises(InputError, match=r"2 of 2 pairs of 'folder:.*' have no ground truth"):
+            train(TINY, tmp_path / "run", **sets, **CPU)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path):
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    image = sorted((tmp_path / "data").rglob("left/*.png"))[0]
+    whole = image.read_bytes()
+    image.write_bytes(whole[:100])
+    recipe, settings = with_length(TINY, steps=1), {**CPU, "workers": 1}
+    data = [f"sceneflow/train:{tmp_path / 'data'}"]
+    with pytest.raises(InputError) as caught:
+        train(recipe, tmp_path / "run", data=data, **settings)
+    assert "\n" not in str(caught.value)
+    assert image.name in str(caught.value)
+    image.write_bytes(whole)
+    assert train(recipe, tmp_path / "run", data=data, **CPU).record["steps"] == 1
+
+
 def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
     write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=3), tmp_path / "data", split="train")
     start = build_model("coex", max_disparity=32)
@@ -247,6 +319,8 @@ def test_the_command_explains(tmp_path, capsys):
     assert "did you mean 'sceneflow'" in capsys.readouterr().err
     assert main(["train", "--recipe", "synthetic", "--out", str(tmp_path / "run"), "--devices", "two"]) == 2
     assert "--devices is a number of devices, or auto" in capsys.readouterr().err
+    assert main(["train", "--recipe", "synthetic", "--out", str(tmp_path / "run"), "--top-k", "7"]) == 2
+    assert "--top-k are for published checkpoints; give --weights" in capsys.readouterr().err
     assert main(["train", "--recipe", "sceneflow", "--out", str(tmp_path / "run")]) == 2
     assert "give --data sceneflow/train:ROOT" in capsys.readouterr().err
 
@@ -319,6 +393,17 @@ def test_two_processes_have_the_gradient_of_one_with_the_joint_batch(tmp_path):
     assert largest > 0
     for name, gradient in alone.items():
         torch.testing.assert_close(together[name], gradient, rtol=1e-3, atol=1e-5 * float(largest))
+
+
+def test_processes_without_a_validation_pair_get_one_that_does_not_count():
+    scenes = SyntheticScenes(size=(48, 80), max_disparity=16, count=3)
+    samples = TrainingSamples([scenes], TINY.augmentation, seed=0)
+    data = StereoData(samples, batch=2, steps=1, validation={"one": [scenes[0]], "all": list(scenes)}, workers=0)
+    known = []
+    for rank in range(2):
+        data.trainer = SimpleNamespace(world_size=2, global_rank=rank)
+        known.append([[bool(b["disparity"].isfinite().any()) for b in loader] for loader in data.val_dataloader()])
+    assert known == [[[True], [True, True]], [[False], [True]]]
 
 
 def test_a_batch_that_does_not_divide_is_refused(tmp_path):

@@ -50,6 +50,15 @@ def test_without_shuffling_pairs_come_in_order():
     assert [grey(samples[number]) for number in range(7)] == [[0], [1], [2], [3], [4], [0], [1]]
 
 
+def test_pairs_of_8_and_16_bits_share_a_batch():
+    image = np.full((8, 12, 3), 204, np.uint8)
+    deep = np.full((8, 12, 3), 204 * 257, np.uint16)
+    data = [StereoSample("a", x, x, np.ones((8, 12), np.float32)) for x in (image, deep)]
+    batch = next(iter(ResumableLoader(TrainingSamples([data], CROP, seed=0), batch=2, steps=1)))
+    for view in ("left", "right"):
+        torch.testing.assert_close(batch[view], torch.full((2, 3, 4, 6), 0.8))
+
+
 def test_a_sample_hangs_on_its_number_alone():
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (40, 60, 3), dtype=np.uint8)

@@ -195,7 +195,8 @@ def _room(of: Composition, rng: Generator, bank: TextureBank) -> tuple[Layer, ..
 def _street(of: Composition, rng: Generator, bank: TextureBank) -> tuple[Layer, ...]:
     """Sky at next to no disparity, a road that runs to the horizon, and fronts of houses."""
     height, width = of.size
-    sky = Surface((0.0, 0.0), float(rng.uniform(0, 0.6) * (rng.random() < 0.6)))
+    # not quite 0, which stands for unknown
+    sky = Surface((0.0, 0.0), max(float(rng.uniform(0, 0.6) * (rng.random() < 0.6)), 0.01))
     horizon = height * rng.uniform(0.25, 0.65)
     layers = [Layer(sky, bank.sky(rng))]
     near = of.max_disparity * rng.uniform(0.3, 0.95)

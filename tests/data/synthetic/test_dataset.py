@@ -40,6 +40,12 @@ def test_samples(small):
         small[6]
 
 
+def test_no_disparity_is_0_which_stands_for_unknown():
+    scenes = SyntheticScenes(size=(32, 32), max_disparity=20, objects=(0, 1), count=60)
+    assert min(sample.disparity.min() for sample in scenes) > 0
+    assert min(sample.right_disparity.min() for sample in scenes) > 0
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 def test_the_number_of_workers_changes_nothing(small, workers):
     context = "fork" if workers else None

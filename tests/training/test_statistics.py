@@ -1,0 +1,44 @@
+import pytest
+import torch
+from torch import nn
+
+from stereokit.builder import build_model
+from stereokit.training.statistics import SharedBatchStatistics
+
+
+@pytest.fixture
+def model():
+    torch.manual_seed(0)
+    model = build_model("coex", max_disparity=32)
+    with torch.no_grad():
+        # statistics of its own
+        model.train()(*torch.rand(2, 2, 3, 64, 64))
+    return model.eval()
+
+
+def kinds(model):
+    return {name: type(module) for name, module in model.named_modules()}
+
+
+def test_sharing_statistics_changes_nothing_but_the_norms(model):
+    images = torch.rand(2, 1, 3, 64, 96)
+    parameters = dict(model.named_parameters())
+    before, names, own = model(*images).disparity, list(model.state_dict()), kinds(model)
+    norms = sum(isinstance(module, nn.modules.batchnorm._BatchNorm) for module in model.modules())
+    shared = SharedBatchStatistics()
+    shared.share(model)
+    assert sum(isinstance(module, nn.SyncBatchNorm) for module in model.modules()) == norms
+    assert torch.equal(model(*images).disparity, before)
+    assert list(model.state_dict()) == names
+    assert all(parameter is parameters[name] for name, parameter in model.named_parameters())
+    # as a run on a GPU does: statistics of another place and value
+    for module in model.modules():
+        if isinstance(module, nn.SyncBatchNorm):
+            module.running_mean = module.running_mean + 0.01
+    after = model(*images).disparity
+    shared.separate(model)
+    assert kinds(model) == own
+    assert torch.equal(model(*images).disparity, after)
+    assert not torch.equal(after, before)
+    shared.separate(model)
+    assert kinds(model) == own
