@@ -2,6 +2,7 @@
 
 import os
 import time
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.inputs import ImageLike, to_pair
-from stereokit.memory import MemorySize, running_out_as
+from stereokit.memory import MemorySize, available_memory, running_out_as
 from stereokit.model import StereoModel, StereoOutput, check_least_size
 from stereokit.pretrained import is_hub_id
 from stereokit.tiling import BoundedMatcher, Run, TooLarge, match_reduced, reduced_size
@@ -34,7 +35,12 @@ KITTI_MAX = 65535 / 256
 NO_LIMITS: dict[str, Any] = {"max_memory": None, "too_large": "error"}
 
 LARGE = 500_000
-"""Pixels from which on a pair's need of memory is estimated first, which takes a second for each new size."""
+BYTES_PER_PIXEL = 25_000
+"""A pair of more pixels than `LARGE`, or of more than fit at so many bytes each, has its need of memory estimated
+first, which takes a second for each new size. The registered networks need less at D = 192: GC-Net the most, 22,000."""
+
+# of the pair that this thread is at
+_preparation_seconds: ContextVar[float] = ContextVar("preparation_seconds", default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +186,6 @@ class Predictor:
         self._limits: dict[str, Any] = {"max_memory": max_memory, "too_large": too_large}
         self.scale = scale
         self._measurable = True
-        self._preparation_seconds = 0.0
         self._bounded: BoundedMatcher | None = None
         if isinstance(self.backend, TorchBackend) or self._limits != NO_LIMITS:
             self._bounded = self._matcher()
@@ -189,6 +194,11 @@ class Predictor:
     def device(self) -> torch.device:
         """Where the backend computes."""
         return self.backend.device
+
+    @property
+    def whole(self) -> bool:
+        """Whether pairs are matched as they are: at full resolution, and with no limit of memory asked for."""
+        return self.scale == 1 and self._limits == NO_LIMITS
 
     @property
     def model(self) -> nn.Module:
@@ -213,17 +223,18 @@ class Predictor:
         """
         left, right = to_pair(left, right)
         check_least_size(*left.shape[-2:])
-        self._preparation_seconds = 0.0
+        _preparation_seconds.set(0.0)
         run = self._fitting(*reduced_size((left.shape[-2], left.shape[-1]), self.scale))
         start = time.perf_counter()
         output = run(left, right) if self.scale == 1 else match_reduced(run, left, right, scale=self.scale)
-        seconds = time.perf_counter() - start - self._preparation_seconds
+        preparation = _preparation_seconds.get()
+        seconds = time.perf_counter() - start - preparation
         confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
-        return DisparityResult(output.disparity[0].cpu().numpy(), confidence, seconds, self._preparation_seconds)
+        return DisparityResult(output.disparity[0].cpu().numpy(), confidence, seconds, preparation)
 
     def _fitting(self, height: int, width: int) -> Run:
         """What matches pairs of this size within the memory, checked here if they are large."""
-        if not self._measurable or (self._limits["max_memory"] is None and height * width <= LARGE):
+        if not self._measurable or (self._limits["max_memory"] is None and self._surely_fits(height * width)):
             return self._whole
         try:
             # the network of an exported file is built for the first large pair
@@ -236,6 +247,10 @@ class Predictor:
             self._measurable = False
             return self._whole
         return self._whole if plan.how == "whole" else partial(self._bounded.match, plan=plan)
+
+    def _surely_fits(self, pixels: int) -> bool:
+        available = available_memory(self.device)
+        return pixels <= LARGE and (available is None or BYTES_PER_PIXEL * pixels <= available)
 
     def _matcher(self) -> BoundedMatcher:
         if isinstance(self.backend, ExportedBackend):
@@ -255,7 +270,7 @@ class Predictor:
 
     def _run(self, left: Tensor, right: Tensor) -> StereoOutput:
         """The backend; what it does once is timed apart."""
-        self._preparation_seconds += self.backend.prepare(left, right)
+        _preparation_seconds.set(_preparation_seconds.get() + self.backend.prepare(left, right))
         disparity, confidence = self.backend(left, right)
         return StereoOutput(
             torch.from_numpy(disparity), confidence=None if confidence is None else torch.from_numpy(confidence)

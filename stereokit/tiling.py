@@ -208,7 +208,8 @@ def reduced_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
 
 
 def _reduce(images: Tensor, size: tuple[int, int]) -> Tensor:
-    return F.interpolate(as_float(images), size, mode="area")
+    # area means, of windows that are not equally wide, would shift pixels to and fro by up to half a pixel
+    return F.interpolate(as_float(images), size, mode="bilinear", align_corners=False, antialias=True)
 
 
 def _enlarge(values: Tensor, size: tuple[int, int]) -> Tensor:
@@ -297,9 +298,13 @@ class BoundedMatcher:
             InputError: it takes more memory than was estimated.
         """
         height, width = left.shape[-2:]
-        with running_out_as(
-            f"a pair of {width} x {height} pixels took more memory of {self.device or left.device} than was estimated; "
-            "a smaller max_memory with 'tile' or 'reduce' would do"
+        # the estimate is for a pass that keeps nothing for gradients
+        with (
+            torch.no_grad(),
+            running_out_as(
+                f"a pair of {width} x {height} pixels took more memory of {self.device or left.device} than was "
+                "estimated; a smaller max_memory with 'tile' or 'reduce' would do"
+            ),
         ):
             if plan.how == "tile" and plan.tile is not None:
                 return match_tiles(

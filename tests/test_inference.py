@@ -66,6 +66,14 @@ def test_a_large_pair_runs_where_its_memory_can_not_be_estimated_unless_a_limit_
         Predictor(ReadsValues(), "cpu", max_memory="1TB")(left, right)
 
 
+def test_a_small_pair_is_checked_too_where_memory_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    predict = Predictor(build_model("gcnet", max_disparity=64), "cpu")
+    for module in ("inference", "tiling"):
+        monkeypatch.setattr(f"stereokit.{module}.available_memory", lambda device: 50_000_000)
+    with pytest.raises(InputError, match=r"256 x 128 pixels needs about \d+ MiB of memory, 48 MiB are free on cpu"):
+        predict(*np.zeros((2, 128, 256, 3), np.float32))
+
+
 @pytest.mark.parametrize("error", [torch.OutOfMemoryError("full"), RuntimeError("x: can't allocate memory: 9")])
 @pytest.mark.parametrize("limits", [{}, {"max_memory": "100GB"}])
 def test_memory_that_runs_out_is_one_line(error: RuntimeError, limits: dict[str, str]) -> None:

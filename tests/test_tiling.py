@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stereokit import ConfigError, InputError, StereoOutput, tiling
+from stereokit import ConfigError, InputError, StereoOutput, build_model, tiling
+from stereokit.optimize import prepare_for_inference
 from stereokit.tiling import BoundedMatcher, MemoryPlan, _weights, match_reduced, match_tiles, tile_grid
 from tests.shared import SHARED, needs_shared
 
@@ -117,6 +118,16 @@ def test_a_scale_that_can_not_be_is_refused(scale: float) -> None:
         match_reduced(local, left, left, scale=scale)
 
 
+@pytest.mark.parametrize("scale", [0.95, 0.75, 0.6, 0.43])
+def test_pixels_are_where_they_were_in_a_reduced_pair(scale: float) -> None:
+    def brightness(left: Tensor, right: Tensor) -> StereoOutput:
+        return StereoOutput(left[:, 0] * left.shape[-1])
+
+    ramp = (torch.arange(400) + 0.5).expand(1, 3, 80, 400) / 400
+    output = match_reduced(brightness, ramp, ramp, scale=scale)
+    torch.testing.assert_close(output.disparity[..., 10:-10], 400 * ramp[:, 0, :, 10:-10], atol=0.15, rtol=0)
+
+
 class Small(nn.Module):
     """A network that needs 1000 bytes a pixel, as it says itself."""
 
@@ -151,6 +162,24 @@ def test_a_pair_that_fits_is_matched_whole() -> None:
     matcher, network = bounded("64MB")
     torch.testing.assert_close(matcher(*PAIR).disparity, local(*PAIR).disparity)
     assert network.seen == [(160, 400)]
+
+
+def test_nothing_is_kept_for_gradients() -> None:
+    network = nn.Conv2d(3, 1, 1)
+
+    def run(left: Tensor, right: Tensor) -> StereoOutput:
+        return StereoOutput(network(left)[:, 0])
+
+    matcher = BoundedMatcher(network, run=run, max_memory="1GB", estimate=lambda height, width: height * width)
+    assert not matcher(*PAIR).disparity.requires_grad
+    assert not matcher.match(*PAIR, MemoryPlan("tile", 1, 1, tile=(160, 300))).disparity.requires_grad
+
+
+def test_tiles_of_a_prepared_network_are_those_of_the_network() -> None:
+    model = build_model("coex", max_disparity=64)
+    prepared, plain = BoundedMatcher(prepare_for_inference(model)), BoundedMatcher(model)
+    assert (prepared.max_disparity, prepared.multiple) == (plain.max_disparity, plain.multiple) == (64, 32)
+    assert prepare_for_inference(model).config == model.config
 
 
 def test_a_pair_that_does_not_fit_is_refused_before_it_starts() -> None:

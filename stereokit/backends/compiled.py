@@ -9,6 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
+from stereokit.backends.estimate import Estimate
+from stereokit.errors import ConfigError
+from stereokit.inputs import as_float
 from stereokit.optimize import PreparedNetwork
 
 __all__ = ["CompiledBackend", "compile_cache", "compile_network"]
@@ -40,20 +43,23 @@ def compile_network(network: PreparedNetwork, device: torch.device, **options: A
 class CompiledBackend(TorchBackend):
     """A network made ready for inference, as for `TorchBackend`, and compiled by `torch.compile`.
 
-    The first size of images is compiled for that size alone; the second one, for any. What was compiled is kept
-    in `compile_cache`, so that later runs start faster.
+    The first size of images is compiled for that size alone, later ones for many sizes at once: a few times in all, by
+    whether they need padding, for one. What was compiled is kept in `compile_cache`, so that later runs start faster.
 
     Args:
         network: see `TorchBackend`.
         device: of torch.
         precision: see `TorchBackend`.
+
+    Raises:
+        ConfigError: in `prepare`, where there is no compiler; see `TorchBackend` too.
     """
 
     name = "compile"
 
     def __init__(self, network: nn.Module, device: torch.device, precision: str | None = None) -> None:
         super().__init__(network, device, precision)
-        self._seen: set[tuple[Any, ...]] = set()
+        self._seen: set[torch.Size] = set()
 
     def make_ready(self, network: PreparedNetwork) -> nn.Module:
         """Code that is compiled when it first runs."""
@@ -64,11 +70,29 @@ class CompiledBackend(TorchBackend):
         """Prepares the network, and compiles where images of this size and type were not seen before."""
         start = time.perf_counter()
         seconds = super().prepare(left, right)
-        kind = (left.shape, left.dtype)
-        if kind in self._seen:
+        if left.shape in self._seen:
             return seconds
-        # a CUDA graph is recorded at the second run
-        for _ in range(3 if self.device.type == "cuda" else 1):
-            self(left, right)
-        self._seen.add(kind)
+        try:
+            # a CUDA graph is recorded at the second run
+            for _ in range(3 if self.device.type == "cuda" else 1):
+                self(left, right)
+        except Exception as error:
+            # it takes a second to import, and is loaded by now
+            from torch._dynamo.exc import BackendCompilerFailed
+
+            if not isinstance(error, BackendCompilerFailed | OSError):
+                raise
+            cause = getattr(error, "inner_exception", error)
+            reason = str(cause).strip().split("\n")[0] or type(cause).__name__
+            raise ConfigError(
+                f"backend 'compile' can't compile here ({reason}): it needs a C++ compiler, and on a GPU Triton; "
+                "backend 'torch' would do"
+            ) from error
+        self._seen.add(left.shape)
         return time.perf_counter() - start
+
+    def __call__(self, left: Tensor, right: Tensor) -> Estimate:
+        """Images (B, 3, H, W) to disparity and confidence (B, H, W)."""
+        # of one type, and with room for all kinds of sizes: at its limit the compiler gives up and says nothing
+        with torch._dynamo.config.patch(recompile_limit=256):
+            return super().__call__(*(as_float(images.to(self.device)).float() for images in (left, right)))

@@ -67,7 +67,13 @@ class OnnxRuntimeBackend(ExportedBackend):
 
     def run(self, left: npt.NDArray[np.float32], right: npt.NDArray[np.float32]) -> list[npt.NDArray[np.float32]]:
         """One pair through the file."""
-        maps: list[npt.NDArray[np.float32]] = self._session.run(None, {"left": left, "right": right})
+        try:
+            maps: list[npt.NDArray[np.float32]] = self._session.run(None, {"left": left, "right": right})
+        except Exception as error:
+            # its errors have a family of their own, and one class for nearly all
+            if any(words in str(error) for words in ("Failed to allocate memory", "bad_alloc", "out of memory")):
+                raise MemoryError(str(error)) from error
+            raise
         return maps
 
     @staticmethod

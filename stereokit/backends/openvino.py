@@ -1,6 +1,7 @@
 """OpenVINO."""
 
 from os import PathLike, fspath
+from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
@@ -74,12 +75,15 @@ class OpenVinoBackend(ExportedBackend):
         if kind == "cpu":
             settings["INFERENCE_NUM_THREADS"] = torch.get_num_threads()
         self._compiled = core.compile_model(model, DEVICES[kind], settings)
+        # a compiled model has one place for its results
+        self._alone = Lock()
         hint = self._compiled.get_property("INFERENCE_PRECISION_HINT").get_type_name()
         self.precision = wanted if quantised else next(p for p, h in HINTS.items() if h == hint)
 
     @kept_signal_stack()
     def run(self, left: npt.NDArray[np.float32], right: npt.NDArray[np.float32]) -> list[npt.NDArray[np.float32]]:
         """One pair through the file."""
-        maps = self._compiled({"left": left, "right": right})
-        # copies: the next pair is written into the same memory
-        return [np.array(maps[output]) for output in self._compiled.outputs]
+        with self._alone:
+            maps = self._compiled({"left": left, "right": right})
+            # copies: the next pair is written into the same memory
+            return [np.array(maps[output]) for output in self._compiled.outputs]

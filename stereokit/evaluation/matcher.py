@@ -39,7 +39,7 @@ class BatchMatcher(Protocol):
 
 
 class NetworkMatcher:
-    """A network as a matcher, one pair or a batch at a time.
+    """A network as a matcher, one pair or a batch at a time; a predictor that scales or cuts takes one pair at a time.
 
     Args:
         predictor: the network on its device.
@@ -68,6 +68,8 @@ class NetworkMatcher:
         Raises:
             InputError: images that can't be used, or too many of them for the device's memory.
         """
+        if len(lefts) == 1 or not self.predictor.whole:
+            return [self.predictor(left, right).disparity for left, right in zip(lefts, rights, strict=True)]
         pairs = [to_pair(left, right) for left, right in zip(lefts, rights, strict=True)]
         left, right = (torch.cat(views) for views in zip(*pairs, strict=True))
         height, width = left.shape[-2:]

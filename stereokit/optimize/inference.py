@@ -32,6 +32,15 @@ class PreparedNetwork(nn.Module):
         super().__init__()
         self.network = network
         self.precision = precision
+        # what tiles are cut by
+        for name in ("max_disparity", "multiple"):
+            if hasattr(network, name):
+                setattr(self, name, getattr(network, name))
+
+    @property
+    def config(self) -> Any:
+        """The network's own."""
+        return self.network.config
 
     def forward(self, left: Tensor, right: Tensor, **options: Any) -> Any:
         """The network's own output."""
@@ -74,7 +83,7 @@ def prepare_for_inference(
         example: images for the forward pass that is watched, by default (1, 3, 256, 512) without content.
 
     Raises:
-        ConfigError: an unknown precision, or the network is prepared already.
+        ConfigError: an unknown precision, or the network is prepared already or can't be copied.
         torch.OutOfMemoryError: the example is too large for the device.
 
     Warns:
@@ -93,7 +102,14 @@ def prepare_for_inference(
     dtype = dtype_of(precision)
     if isinstance(model, PreparedNetwork):
         raise ConfigError("the network is prepared already; prepare the original")
-    network = copy.deepcopy(model).requires_grad_(False).eval()
+    try:
+        network = copy.deepcopy(model).requires_grad_(False).eval()
+    except RuntimeError as error:
+        reason = str(error).strip().split("\n")[0]
+        raise ConfigError(
+            f"a {type(model).__name__} can't be copied to be made ready for inference ({reason}); weights that are "
+            "computed from others can where torch.nn.utils.parametrizations does it"
+        ) from error
     fuse(network, chains_of(network, example))
     if precision != "float32":
         tensors = [*network.parameters(), *network.buffers()]

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 import torch
 from torch import nn
+from torch._dynamo.exc import BackendCompilerFailed
 
-from stereokit import Predictor, build_model
-from stereokit.backends.compiled import compile_cache
+from stereokit import ConfigError, Predictor, build_model
+from stereokit.backends.compiled import CompiledBackend, compile_cache
 from stereokit.export.checking import random_pair
 from stereokit.optimize.convolution import FusedConvolution
 from tests.export.networks import Tiny
@@ -23,6 +24,32 @@ def test_the_cache_outlives_a_run(monkeypatch):
     assert compile_cache() == Path.home() / ".cache/stereokit/inductor"
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", "/chosen")
     assert compile_cache() == Path("/chosen")
+
+
+@pytest.mark.parametrize("error", [BackendCompilerFailed(print, OSError("no g++"), None), PermissionError("no cache")])
+def test_where_it_can_not_compile_it_is_one_line(error, monkeypatch):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(CompiledBackend, "make_ready", lambda self, network: fail)
+    with pytest.raises(ConfigError, match=r"can't compile here \(.*no .*C\+\+ compiler.*backend 'torch' would do"):
+        Predictor(Tiny(), "cpu", "compile")(*random_pair(64, 96))
+
+
+def test_kinds_of_sizes_do_not_end_in_uncompiled_runs(monkeypatch):
+    compiled = []
+
+    def count(graph, _):
+        compiled.append(graph)
+        return graph.forward
+
+    monkeypatch.setattr(CompiledBackend, "make_ready", lambda self, network: torch.compile(network, backend=count))
+    predict = Predictor(build_model("coex", max_disparity=64), "cpu", "compile")
+    for size in ((64, 96), (64, 128), (96, 128), (61, 128), (96, 96), (61, 96), (64, 64), (70, 70)):
+        for dtype in (np.uint8, np.float32):
+            predict(*np.zeros((2, *size, 3), dtype))
+    assert len(compiled) <= 8
+    assert torch._dynamo.config.recompile_limit == 8
 
 
 @needs_compiler

@@ -57,6 +57,16 @@ def test_a_network_of_ones_own_is_described_by_its_class():
     assert matcher.describe()["class"].endswith("test_matcher.Plain")
 
 
+@pytest.mark.parametrize("settings", [{"scale": 0.5}, {"max_memory": "1GB"}])
+def test_a_predictor_that_scales_or_cuts_is_asked_for_each_pair(predictor, settings):
+    images = np.random.default_rng(0).integers(0, 256, (2, 80, 100, 3), dtype=np.uint8)
+    bounded = Predictor(predictor.model, "cpu", **settings)
+    alone = bounded(*images).disparity
+    for disparity in NetworkMatcher(bounded).match_batch([images[0]] * 2, [images[1]] * 2):
+        np.testing.assert_array_equal(disparity, alone)
+    assert ("scale" in settings) == (np.abs(alone - predictor(*images).disparity).max() > 0.1)
+
+
 def test_too_large_a_batch_says_what_would_do():
     class Greedy(nn.Module):
         def forward(self, left, right):

@@ -49,6 +49,17 @@ def test_ties_are_forgiven_and_more_is_not():
         compare(Shifted(model, np.nan, 0.01), model, PAIR)
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_confidence_that_is_not_finite_is_wrong(wrong):
+    def broken(left, right):
+        output = model(left, right)
+        return Estimate(output.disparity.numpy(), np.full_like(output.confidence.numpy(), wrong))
+
+    model = Tiny().eval()
+    with torch.inference_mode(), pytest.raises(ConfigError, match="values that are not finite"):
+        compare(broken, model, PAIR)
+
+
 def test_pairs_of_another_size_are_refused_before_the_export():
     pairs = [random_pair(40, 64)]
     check_size(pairs, None, "to compare on")

@@ -143,6 +143,18 @@ def test_files_that_can_not_be_held_to_limits_say_so_and_run_without(exported, t
     assert Predictor(path)(*random_pair(320, 700)).size == (320, 700)
 
 
+def test_running_out_of_memory_is_the_same_line_as_elsewhere(exported):
+    predict = Predictor(exported.path)
+
+    class Full:
+        def run(self, *_):
+            raise type("Fail", (Exception,), {})("[ONNXRuntimeError] : Failed to allocate memory for requested buffer")
+
+    predict.backend._session = Full()
+    with pytest.raises(InputError, match="96 x 64 pixels does not fit into the memory of cpu"):
+        predict(*random_pair(64, 96))
+
+
 def test_a_file_holds_no_module(exported):
     with pytest.raises(ConfigError, match="backend 'onnxruntime' runs an exported file, which holds no torch module"):
         _ = Predictor(exported.path).model

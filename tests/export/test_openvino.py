@@ -1,3 +1,5 @@
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,16 @@ def test_results_outlive_the_next_pair(exported):
     kept = first.disparity.copy()
     predict(*random_pair(40, 50, seed=2))
     np.testing.assert_array_equal(first.disparity, kept)
+
+
+def test_threads_get_the_results_of_their_own_pairs(exported):
+    predict = Predictor(exported.path)
+    pairs = [random_pair(64, 96, seed) for seed in range(4)]
+    alone = [predict(*pair).disparity for pair in pairs]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda number: predict(*pairs[number % 4]).disparity, range(40)))
+    for number, disparity in enumerate(together):
+        np.testing.assert_array_equal(disparity, alone[number % 4])
 
 
 def test_int8_is_near_and_says_how_near(tiny, tmp_path):

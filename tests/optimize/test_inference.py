@@ -190,6 +190,16 @@ def test_another_precision_is_refused(precision):
         prepare_for_inference(nn.Identity(), precision=precision)
 
 
+def test_what_can_not_be_copied_is_one_line():
+    class Derived(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.weight = nn.Parameter(torch.ones(1)) * 2
+
+    with pytest.raises(ConfigError, match=r"a Derived can't be copied .*parametrizations does it"):
+        prepare_for_inference(Derived())
+
+
 def test_nothing_is_prepared_twice():
     fast = prepare_for_inference(build_model("coex", max_disparity=32))
     assert isinstance(fast, PreparedNetwork)
