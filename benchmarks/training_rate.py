@@ -4,8 +4,8 @@
     python benchmarks/training_rate.py --compile --precision float32 bfloat16
 
 The rival is the straightforward step: the network as built, in the default memory format; loss, backward, clipping and
-Adam. Ours is that of `stereokit train`, less the average of the weights and the look for what is not finite. All have the
-batch in memory and see the same pairs. Each form has a process of its own, and they take turns.
+Adam. Ours is that of `stereokit train`, less the average of the weights and the look for what is not finite. All have
+the batch in memory and see the same pairs. Each form has a process of its own, and they take turns.
 """
 
 import argparse
