@@ -95,6 +95,7 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     path = options.out / f"{name}.json"
     asked = {key: getattr(options, key) for key in ("minutes", "steps", "batch", "seed", "test_scenes", "precision")}
     asked["crop"] = list(options.crop)
+    asked["scenes"] = dict(load_recipe("synthetic").scenes or {})
     if path.is_file():
         before = json.loads(path.read_text(encoding="utf-8"))
         if before["asked"] != asked:
@@ -116,7 +117,7 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
 def trained(
     model: str, overrides: dict[str, Any], asked: dict[str, Any], options: argparse.Namespace
 ) -> tuple[StereoModel, dict[str, Any]]:
-    budget = {**asked, "crop": "x".join(map(str, options.crop)), "test_scenes": None}
+    budget = {**asked, "crop": "x".join(map(str, options.crop)), "test_scenes": None, "scenes": None}
     folder = options.out / "runs" / "_".join(words(budget)) / "_".join([model, *words(overrides)])
     if (folder / "network" / "training.json").is_file():
         record = json.loads((folder / "network" / "training.json").read_text(encoding="utf-8"))

@@ -249,8 +249,11 @@ class Predictor:
         return self._whole if plan.how == "whole" else partial(self._bounded.match, plan=plan)
 
     def _surely_fits(self, pixels: int) -> bool:
+        if pixels > LARGE or isinstance(self.backend, ExportedBackend):
+            # what a runtime keeps from the pair before looks like taken
+            return pixels <= LARGE
         available = available_memory(self.device)
-        return pixels <= LARGE and (available is None or BYTES_PER_PIXEL * pixels <= available)
+        return available is None or BYTES_PER_PIXEL * pixels <= available
 
     def _matcher(self) -> BoundedMatcher:
         if isinstance(self.backend, ExportedBackend):

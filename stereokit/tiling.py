@@ -209,7 +209,8 @@ def reduced_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
 
 def _reduce(images: Tensor, size: tuple[int, int]) -> Tensor:
     # area means, of windows that are not equally wide, would shift pixels to and fro by up to half a pixel
-    return F.interpolate(as_float(images), size, mode="bilinear", align_corners=False, antialias=True)
+    reduced = F.interpolate(as_float(images).float(), size, mode="bilinear", align_corners=False, antialias=True)
+    return reduced.to(images.dtype) if images.is_floating_point() else reduced
 
 
 def _enlarge(values: Tensor, size: tuple[int, int]) -> Tensor:

@@ -128,6 +128,16 @@ def test_pixels_are_where_they_were_in_a_reduced_pair(scale: float) -> None:
     torch.testing.assert_close(output.disparity[..., 10:-10], 400 * ramp[:, 0, :, 10:-10], atol=0.15, rtol=0)
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+def test_reduced_pairs_keep_their_type(dtype: torch.dtype) -> None:
+    def match(left: Tensor, right: Tensor) -> StereoOutput:
+        assert left.dtype == right.dtype == dtype
+        return StereoOutput(left[:, 0])
+
+    images = torch.rand(1, 3, 80, 120).to(dtype)
+    assert match_reduced(match, images, images, scale=0.6).disparity.shape == (1, 80, 120)
+
+
 class Small(nn.Module):
     """A network that needs 1000 bytes a pixel, as it says itself."""
 

@@ -14,11 +14,12 @@ class BestNetwork(Callback):
 
     Args:
         save: what is called then, in the first process.
+        smallest: of a run that goes on. Checkpoints do not hold it: they are written ahead of their step's validation.
     """
 
-    def __init__(self, save: Callable[[], object]) -> None:
+    def __init__(self, save: Callable[[], object], smallest: float | None = None) -> None:
         self.save = save
-        self.smallest: float | None = None
+        self.smallest = smallest
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Behind the count of the errors."""
@@ -28,11 +29,3 @@ class BestNetwork(Callback):
             self.smallest = bad
             if trainer.is_global_zero:
                 self.save()
-
-    def state_dict(self) -> dict[str, Any]:
-        """The smallest so far, for runs that go on."""
-        return {"smallest": self.smallest}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """The reverse of `state_dict`."""
-        self.smallest = state_dict["smallest"]

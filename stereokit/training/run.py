@@ -215,7 +215,10 @@ def train(
     if validation_sets:
         callbacks += [
             ValidationPictures(out / "pictures", tuple(validation_sets)),
-            BestNetwork(lambda: save(out / "best", network if averaged is None else averaged.network)),
+            BestNetwork(
+                lambda: save(out / "best", network if averaged is None else averaged.network),
+                _best_bad_3(out) if goes_on else None,
+            ),
         ]
     try:
         with _without_noise():
@@ -259,8 +262,13 @@ def train(
         validation=validation_sets,
         workers=usual_workers(trainer.num_devices) if workers is None else workers,
     )
-    with _without_noise(), _in_one_line():
-        trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
+    try:
+        with _without_noise(), _in_one_line():
+            trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
+    except StereoKitError as error:
+        if is_first_process():
+            _write_json(out / "run.json", {**_read_json(out / "run.json"), "ended_by": str(error)})
+        raise
     if trainer.interrupted:
         raise KeyboardInterrupt
     network.cpu().eval()
@@ -284,6 +292,7 @@ def _without_noise() -> Iterator[None]:
             # the errors are those of all processes already, and of 1 x 1 kernels all strides are right
             warnings.filterwarnings("ignore", message="It is recommended to use `self.log")
             warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
+            warnings.filterwarnings("ignore", message="Be aware that when using `ckpt_path`")
             # a run that goes on writes where it wrote
             warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
             yield
@@ -374,9 +383,8 @@ def _new_network(recipe: Recipe) -> StereoModel:
 def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: str | None) -> None:
     """Makes the folder of a new run, or sees that the one there is of the same run."""
     record = out / "run.json"
-    # a run that failed before its first checkpoint left nothing to lose
-    begun = record.exists() and (resume or any(out.glob("checkpoints/*")) or (out / "network").exists())
-    if not begun:
+    left = any(out.glob("checkpoints/*")) or any((out / name).exists() for name in ("best", "network"))
+    if not record.exists() or (not left and not resume and "ended_by" in _read_json(record)):
         if not record.exists() and out.exists() and any(out.iterdir()):
             raise InputError(f"the folder {str(out)!r} is not empty and holds no run; choose another --out")
         make_folder(out / "checkpoints")
@@ -384,17 +392,14 @@ def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: 
         return
     if not resume:
         raise InputError(f"{str(out)!r} holds a run already; go on with it by --resume, or choose another --out")
-    try:
-        before = json.loads(record.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CheckpointError(f"{str(record)!r} can't be read: {error}") from error
-    wanted = _settled(json.loads(json.dumps(asked)))
-    for key, value in _settled(before).items():
-        if key in wanted and wanted[key] != value:
-            raise ConfigError(
-                f"{str(out)!r} was started with {key} {value!r}, not {wanted[key]!r}; resume it with the same, or "
-                "choose another --out"
-            )
+    runs = _read_json(record), json.loads(json.dumps(asked))
+    # milestones stay the same epochs where there are more of these, or the same parts of the run
+    differing = min((_differing(*(_settled(run, parts) for run in runs)) for parts in (True, False)), key=len)
+    for key, (value, wanted) in differing.items():
+        raise ConfigError(
+            f"{str(out)!r} was started with {key} {value!r}, not {wanted!r}; resume it with the same, or choose "
+            "another --out"
+        )
 
 
 def _check_checkpoint(path: Path, steps: int, minutes: float | None) -> None:
@@ -413,15 +418,25 @@ def _check_checkpoint(path: Path, steps: int, minutes: float | None) -> None:
         )
 
 
-def _settled(run: Mapping[str, Any]) -> dict[str, Any]:
+def _settled(run: Mapping[str, Any], in_parts: bool) -> dict[str, Any]:
     """What can't change between the start of a run and its resumption: all but its length."""
     recipe = dict(run["recipe"])
     schedule = dict(recipe.pop("schedule"))
-    # in epochs or in parts of the run, and it may have changed from the one to the other
-    schedule["milestones"] = [round(at / (schedule["epochs"] or 1), 9) for at in schedule["milestones"]]
+    if in_parts:
+        schedule["milestones"] = [round(at / (schedule["epochs"] or 1), 9) for at in schedule["milestones"]]
     del schedule["steps"], schedule["epochs"]
     settled = {key: run[key] for key in ("seed", "data", "textures", "start")}
     return {**settled, **recipe, **{f"schedule.{key}": value for key, value in schedule.items()}}
+
+
+def _differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    return {key: (value, now[key]) for key, value in before.items() if key in now and now[key] != value}
+
+
+def _best_bad_3(out: Path) -> float | None:
+    """Of the best network that a run has saved; None if there is none."""
+    record = out / "best" / "training.json"
+    return float(_read_json(record)["validation"]["validation/bad_3"]) if record.is_file() else None
 
 
 def is_first_process() -> bool:
@@ -431,6 +446,13 @@ def is_first_process() -> bool:
 
 def _circumstances(command: str | None) -> dict[str, Any]:
     return {"command": command, "commit": commit(), "versions": versions(), "machine": machine()}
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        return cast(dict[str, Any], json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"{str(path)!r} can't be read: {error}") from error
 
 
 def _write_json(path: Path, values: Mapping[str, Any]) -> None:

@@ -24,7 +24,7 @@ class SharedBatchStatistics(Callback):
             self.share(pl_module)
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """However the run ended."""
+        """Behind the run."""
         self.separate(pl_module)
 
     def share(self, module: nn.Module) -> None:

@@ -222,14 +222,25 @@ def test_the_best_network_is_kept(tmp_path, monkeypatch):
     assert state_sha256(best.state_dict()) == record["weights_sha256"]
     last = json.loads((tmp_path / "network" / "training.json").read_text())
     assert last["weights_sha256"] != record["weights_sha256"]
+    # the checkpoint of the end does not know the validation of its step
+    found = iter([15.0, 5.0])
+    for steps, best in ((7, 10.0), (8, 5.0)):
+        train(with_length(TINY, steps=steps), tmp_path, validate_every=steps, resume=True, **CPU)
+        record = json.loads((tmp_path / "best" / "training.json").read_text())
+        assert record["validation"]["validation/bad_3"] == best
 
 
 def test_the_length_changes_from_epochs_to_steps(tmp_path):
     recipe = replace(TINY, schedule=replace(TINY.schedule, steps=None, epochs=3, milestones=(1.0,)))
     recipe = replace(recipe, scenes={**TINY.scenes, "count": 2})
     train(recipe, tmp_path, **CPU)
-    longer = train(with_length(recipe, steps=4), tmp_path, resume=True, **CPU)
-    assert longer.record["steps"] == 4
+    more = replace(recipe, schedule=replace(recipe.schedule, epochs=4))
+    assert train(more, tmp_path, resume=True, **CPU).record["steps"] == 4
+    longer = train(with_length(recipe, steps=5), tmp_path, resume=True, **CPU)
+    assert longer.record["steps"] == 5
+    other = replace(recipe, schedule=replace(recipe.schedule, epochs=6, milestones=(3.0,)))
+    with pytest.raises(ConfigError, match=r"was started with schedule\.milestones"):
+        train(other, tmp_path, resume=True, **CPU)
 
 
 def test_pairs_without_ground_truth_are_refused_ahead(tmp_path):
@@ -256,6 +267,7 @@ def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path):
         train(recipe, tmp_path / "run", data=data, **settings)
     assert "\n" not in str(caught.value)
     assert image.name in str(caught.value)
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["ended_by"] == str(caught.value)
     image.write_bytes(whole)
     assert train(recipe, tmp_path / "run", data=data, **CPU).record["steps"] == 1
 
