@@ -148,7 +148,7 @@ class Predictor:
         precision: "float32", "bfloat16" or "float16" for the arithmetic, where the backend can; float32, or that of
             the exported file, by default.
         max_memory: bytes, or a text such as "4GiB", that matching a pair may take beside the weights; by default what
-            is free on the device, looked at for large pairs.
+            is free on the device, looked at where a pair might need more.
         too_large: what becomes of a pair that needs more: "error" says how much and what would do, "tile" matches it
             in overlapping tiles, "reduce" at a reduced resolution; see `stereokit.tiling`.
         scale: match at this part of the resolution, such as 0.5, and enlarge the result, see `match_reduced`: it finds
