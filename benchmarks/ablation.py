@@ -108,7 +108,7 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     network, run = trained(row.model, overrides, asked, options)
     model = build_model(row.model, **at_test)
     model.load_state_dict(network.state_dict())
-    result = {"asked": asked, "row": describe(row), "run": run, **tested(model, options)}
+    result = {"asked": asked, "row": describe(row), "run": run, **tested(model, asked, options)}
     with atomic_path(path, overwrite=False) as temporary:
         temporary.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
@@ -151,11 +151,10 @@ def summary(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @torch.inference_mode()
-def tested(model: StereoModel, options: argparse.Namespace) -> dict[str, Any]:
+def tested(model: StereoModel, asked: dict[str, Any], options: argparse.Namespace) -> dict[str, Any]:
     device = torch.device("cuda" if torch.cuda.is_available() and options.accelerator != "cpu" else "cpu")
     model.eval().to(device)
-    height, width = options.crop
-    settings: dict[str, Any] = {**(load_recipe("synthetic").scenes or {}), "size": (height, width)}
+    settings = {**asked["scenes"], "size": tuple(options.crop)}
     scenes = SyntheticScenes(**settings, seed=TEST_SEED, count=options.test_scenes)
     metrics = StereoMetrics()
     for index in tqdm(range(len(scenes)), unit="scene", leave=False):

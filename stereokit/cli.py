@@ -142,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     training = commands.add_parser("train", help="train a network by a recipe")
     training_command.add_arguments(training)
     _add_published_options(training)
-    training.set_defaults(run=lambda options: training_command.run(options, _load_network))
+    training.set_defaults(run=_train)
 
     bench = commands.add_parser("bench", help="time networks, backends and sizes against each other")
     benchmark_command.add_arguments(bench)
@@ -285,9 +285,19 @@ def _load_shipped(options: argparse.Namespace, weights: str | None) -> StereoMod
             raise CheckpointError(f"{error}; give --weights with a saved network or a published checkpoint") from error
     elif options.model not in (None, read_manifest(weights)["network"]["name"]):
         raise CheckpointError(f"{weights!r} are no weights of a {options.model}; leave out --model")
+    _refuse_published_options(options)
+    return load_weights(weights)
+
+
+def _refuse_published_options(options: argparse.Namespace) -> None:
     if options.channel_order is not None or options.top_k is not None:
         raise ConfigError("--channel-order and --top-k are for published checkpoints; give --weights with one")
-    return load_weights(weights)
+
+
+def _train(options: argparse.Namespace) -> None:
+    if options.weights is None:
+        _refuse_published_options(options)
+    training_command.run(options, _load_network)
 
 
 def _read_published(options: argparse.Namespace, path: str, network: str) -> tuple[StereoModel, ConversionReport]:

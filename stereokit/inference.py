@@ -249,9 +249,11 @@ class Predictor:
         return self._whole if plan.how == "whole" else partial(self._bounded.match, plan=plan)
 
     def _surely_fits(self, pixels: int) -> bool:
-        if pixels > LARGE or isinstance(self.backend, ExportedBackend):
-            # what a runtime keeps from the pair before looks like taken
-            return pixels <= LARGE
+        if pixels > LARGE:
+            return False
+        if isinstance(self.backend, ExportedBackend):
+            # what its runtime keeps from the pair before looks like taken
+            return True
         available = available_memory(self.device)
         return available is None or BYTES_PER_PIXEL * pixels <= available
 

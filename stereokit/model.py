@@ -21,6 +21,7 @@ from stereokit.contracts import (
 )
 from stereokit.data.atomic import make_folder
 from stereokit.errors import ConfigError, InputError
+from stereokit.inputs import as_float
 from stereokit.pretrained import load_folder, save_folder, saved_config
 from stereokit.regression.interpolation import bilinear_upsample
 
@@ -230,9 +231,7 @@ class StereoModel(
         return load_folder(str(folder_or_id), **hub_arguments)
 
     def _normalise(self, images: Tensor) -> Tensor:
-        if images.dtype == torch.uint8:
-            images = images / 255
-        return (images.to(self.mean.dtype) - self.mean) / self.std
+        return (as_float(images).to(self.mean.dtype) - self.mean) / self.std
 
     def _pad(self, images: Tensor) -> Tensor:
         height, width = images.shape[-2:]

@@ -6,7 +6,6 @@ import torch
 
 from stereokit import Predictor, build_model, list_models
 from stereokit.data.synthetic import SyntheticScenes
-from stereokit.weights import load_weights
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA")
 # in px, at nine of ten pixels
@@ -23,7 +22,7 @@ def expected(scene):
     """Of the plain network, on the CPU."""
     left, right = (torch.from_numpy(image).permute(2, 0, 1).unsqueeze(0) for image in (scene.left, scene.right))
     with torch.inference_mode():
-        return load_weights("coex.synthetic_v3")(left, right).disparity[0].numpy()
+        return build_model("coex", pretrained=True)(left, right).disparity[0].numpy()
 
 
 @pytest.mark.parametrize("backend", ["torch", pytest.param("compile", marks=pytest.mark.slow)])

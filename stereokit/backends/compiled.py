@@ -2,6 +2,7 @@
 
 import os
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,7 +15,7 @@ from stereokit.errors import ConfigError
 from stereokit.inputs import as_float
 from stereokit.optimize import PreparedNetwork
 
-__all__ = ["CompiledBackend", "compile_cache", "compile_network"]
+__all__ = ["CompiledBackend", "compile_cache", "compile_network", "room_for_versions"]
 
 
 def compile_cache() -> Path:
@@ -38,6 +39,11 @@ def compile_network(network: PreparedNetwork, device: torch.device, **options: A
     # CUDA graphs take the launch of kernels off the CPU; on a CPU there is none to take off
     mode = "reduce-overhead" if device.type == "cuda" else None
     return cast(nn.Module, torch.compile(network, mode=mode, **options))
+
+
+def room_for_versions() -> AbstractContextManager[Any]:
+    """Lets one network be compiled for as many kinds of sizes as come: at its limit the compiler gives up silently."""
+    return cast(AbstractContextManager[Any], torch._dynamo.config.patch(recompile_limit=256))
 
 
 class CompiledBackend(TorchBackend):
@@ -67,7 +73,7 @@ class CompiledBackend(TorchBackend):
         return compile_network(network, self.device)
 
     def prepare(self, left: Tensor, right: Tensor) -> float:
-        """Prepares the network, and compiles where images of this size and type were not seen before."""
+        """Prepares the network, and compiles where images of this size were not seen before."""
         start = time.perf_counter()
         seconds = super().prepare(left, right)
         if left.shape in self._seen:
@@ -93,6 +99,6 @@ class CompiledBackend(TorchBackend):
 
     def __call__(self, left: Tensor, right: Tensor) -> Estimate:
         """Images (B, 3, H, W) to disparity and confidence (B, H, W)."""
-        # of one type, and with room for all kinds of sizes: at its limit the compiler gives up and says nothing
-        with torch._dynamo.config.patch(recompile_limit=256):
+        # of one type, which is compiled once
+        with room_for_versions():
             return super().__call__(*(as_float(images.to(self.device)).float() for images in (left, right)))

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.backends import FILE_BACKENDS, is_exported, open_backend
-from stereokit.backends.compiled import compile_network
+from stereokit.backends.compiled import compile_network, room_for_versions
 from stereokit.builder import build_model
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
@@ -108,7 +108,7 @@ def compiled(network: nn.Module, candidate: Candidate, device: torch.device) -> 
     fast = prepare_for_inference(network.to(device), precision=candidate.precision)
     ready: Ready = compile_network(fast, device, dynamic=False, fullgraph=True)
     # networks share the code of their class; past the limit of versions of it, one would fail
-    with torch._dynamo.config.patch(recompile_limit=256), torch.inference_mode():
+    with room_for_versions(), torch.inference_mode():
         ready(*image_pair(candidate, device))
     return ready
 

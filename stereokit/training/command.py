@@ -72,8 +72,6 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
     from stereokit.training import train, with_length
     from stereokit.training.run import is_first_process
 
-    if options.weights is None and (options.channel_order is not None or options.top_k is not None):
-        raise ConfigError("--channel-order and --top-k are for published checkpoints; give --weights with one")
     recipe = with_length(load_recipe(options.recipe), steps=options.steps, batch=options.batch)
     options.model = recipe.model["name"]
     outcome = train(

@@ -293,8 +293,6 @@ def _without_noise() -> Iterator[None]:
             warnings.filterwarnings("ignore", message="It is recommended to use `self.log")
             warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
             warnings.filterwarnings("ignore", message="Be aware that when using `ckpt_path`")
-            # a run that goes on writes where it wrote
-            warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
             yield
     finally:
         logger.setLevel(level)
@@ -383,16 +381,26 @@ def _new_network(recipe: Recipe) -> StereoModel:
 def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: str | None) -> None:
     """Makes the folder of a new run, or sees that the one there is of the same run."""
     record = out / "run.json"
-    left = any(out.glob("checkpoints/*")) or any((out / name).exists() for name in ("best", "network"))
-    if not record.exists() or (not left and not resume and "ended_by" in _read_json(record)):
-        if not record.exists() and out.exists() and any(out.iterdir()):
-            raise InputError(f"the folder {str(out)!r} is not empty and holds no run; choose another --out")
-        make_folder(out / "checkpoints")
-        _write_json(record, {**asked, **_circumstances(command)})
+    if record.exists() and resume:
+        _check_same_run(out, _read_json(record), asked)
         return
-    if not resume:
+    if record.exists() and not _failed_at_once(out, _read_json(record)):
         raise InputError(f"{str(out)!r} holds a run already; go on with it by --resume, or choose another --out")
-    runs = _read_json(record), json.loads(json.dumps(asked))
+    if not record.exists() and out.exists() and any(out.iterdir()):
+        raise InputError(f"the folder {str(out)!r} is not empty and holds no run; choose another --out")
+    make_folder(out / "checkpoints")
+    _write_json(record, {**asked, **_circumstances(command)})
+
+
+def _failed_at_once(out: Path, run: Mapping[str, Any]) -> bool:
+    """Whether an error ended a run before there was anything to lose."""
+    left = (*out.glob("checkpoints/*"), *out.glob("best"), *out.glob("network"))
+    return "ended_by" in run and not left
+
+
+def _check_same_run(out: Path, before: Mapping[str, Any], asked: dict[str, Any]) -> None:
+    """Sees that what is asked for is the run that the folder holds."""
+    runs = before, json.loads(json.dumps(asked))
     # milestones stay the same epochs where there are more of these, or the same parts of the run
     differing = min((_differing(*(_settled(run, parts) for run in runs)) for parts in (True, False)), key=len)
     for key, (value, wanted) in differing.items():
