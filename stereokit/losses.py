@@ -1,4 +1,4 @@
-"""The training loss of CoEx, PSMNet and their kin: smooth L1 over the known pixels, averaged over the outputs."""
+"""Training losses over the known pixels: smooth L1 of the disparities, cross-entropy of the distributions."""
 
 import math
 from collections.abc import Sequence
@@ -8,9 +8,19 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stereokit.errors import InputError
+from stereokit.layers import at_least_float32
 from stereokit.model import StereoOutput
 
-__all__ = ["masked_smooth_l1", "stereo_loss"]
+__all__ = ["known_truth", "masked_cross_entropy", "masked_smooth_l1", "stereo_loss", "truth_of_cells"]
+
+
+def known_truth(truth: Tensor, max_disparity: float = math.inf) -> Tensor:
+    """Where ground truth counts: finite, positive and below `max_disparity`.
+
+    >>> known_truth(torch.tensor([0.0, 3.0, torch.inf, 200.0]), max_disparity=192)
+    tensor([False,  True, False, False])
+    """
+    return truth.isfinite() & (truth > 0) & (truth < max_disparity)
 
 
 def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float = math.inf) -> Tensor:
@@ -38,10 +48,71 @@ def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float =
         raise InputError(
             f"estimate and ground truth differ in shape: {tuple(disparity.shape)} and {tuple(truth.shape)}"
         )
-    known = truth.isfinite() & (truth > 0) & (truth < max_disparity)
+    known = known_truth(truth, max_disparity)
     target = torch.where(known, truth, disparity.detach())
     distance = F.smooth_l1_loss(disparity, target.to(disparity.dtype), reduction="none")
     return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)
+
+
+def truth_of_cells(truth: Tensor, stride: int) -> Tensor:
+    """Ground truth (B, H, W) in the middle of each cell of `stride` x `stride` pixels; a mean would mix surfaces.
+
+    >>> truth_of_cells(torch.arange(32.0).reshape(1, 4, 8), stride=4)
+    tensor([[[18., 22.]]])
+    """
+    return truth[:, stride // 2 :: stride, stride // 2 :: stride]
+
+
+def masked_cross_entropy(
+    logits: Tensor, truth: Tensor, *, stride: int, first_level: float = 0.0, max_disparity: float = math.inf
+) -> Tensor:
+    r"""Mean cross-entropy between the distribution over the levels and the truth, split between its two levels.
+
+    .. math::
+        L = -\frac{1}{N} \sum_i (1 - w_i) \log p_i(l_i) + w_i \log p_i(l_i + 1), \quad
+        l_i + w_i = \frac{g_i - x_0}{s}, \ 0 \le w_i < 1
+
+    Where it is least, these two hold all of the mass, and soft-argmin gives the truth, as does top-k from k = 2 on.
+    Smooth L1 behind a top-k regression moves the k largest logits alone; this moves all of them.
+
+    Args:
+        logits: of p, (B, L, h, w), larger is better.
+        truth: g, (B, H, W), pixels; 0, negative and non-finite values are unknown. Each cell of the logits goes by the
+            pixel in its middle; the logits may reach beyond, where the images were padded.
+        stride: s, pixels of a level, and of a cell in height and width.
+        first_level: x_0, the disparity of the first level, in pixels; see `StereoModel.first_level`.
+        max_disparity: ground truth from there up does not count.
+
+    Returns:
+        A scalar; 0, with a gradient of 0, where no cell is known.
+
+    Raises:
+        InputError: the logits do not cover the ground truth.
+
+    Source: the sub-pixel cross-entropy of Tulyakov et al., "Practical Deep Stereo (PDS)", NeurIPS 2018, which has a
+    Laplace distribution around the truth in place of the two levels.
+
+    >>> logits = torch.tensor([0.0, 0.0, -torch.inf]).reshape(1, 3, 1, 1)
+    >>> round(masked_cross_entropy(logits, torch.full((1, 4, 4), 2.0), stride=4).item(), 4)  # log 2: half of each level
+    0.6931
+    """
+    cells = truth_of_cells(truth, stride)
+    rows, columns = cells.shape[1:]
+    if logits.dim() != 4 or logits.shape[0] != len(truth) or logits.shape[2] < rows or logits.shape[3] < columns:
+        raise InputError(
+            f"ground truth {tuple(truth.shape)} at stride {stride} wants logits of at least "
+            f"({len(truth)}, L, {rows}, {columns}); got {tuple(logits.shape)}"
+        )
+    known = known_truth(cells, max_disparity)
+    last = logits.shape[1] - 1
+    position = torch.where(known, (cells - first_level) / stride, 0).clamp(0, last).unsqueeze(1)
+    lower = position.floor().clamp(max=max(last - 1, 0))
+    log_mass = at_least_float32(logits[:, :, :rows, :columns]).log_softmax(1)
+    share = (position - lower).to(log_mass.dtype)
+    below, above = (log_mass.gather(1, level.clamp(max=last).long()) for level in (lower, lower + 1))
+    # a level without a share may be impossible: 0 times -inf is 0
+    entropy = -torch.where(share < 1, (1 - share) * below, 0) - torch.where(share > 0, share * above, 0)
+    return torch.where(known, entropy.squeeze(1), 0).sum() / known.sum().clamp(min=1)
 
 
 def stereo_loss(

@@ -149,6 +149,14 @@ class StereoModel(
         coarse = (0.3,) if self.upsampler.learned else ()
         return (*self.aggregation.auxiliary_weights, *coarse)
 
+    @property
+    def first_level(self) -> float:
+        """The disparity of the first level of the logits, in pixels; each further one is `upsampler.scale` more.
+
+        Not 0 where the logits are upsampled: the coarse level is then the middle of as many fine ones.
+        """
+        return (self.upsampler.scale - 1) / 2 if self.upsampler.domain == "volume" else 0.0
+
     def forward(self, left: Tensor, right: Tensor, *, return_logits: bool = False) -> StereoOutput:
         """Left and right images (B, 3, H, W) to disparity.
 

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from torch.testing import assert_close
 
-from stereokit import InputError, StereoOutput
-from stereokit.losses import masked_smooth_l1, stereo_loss
+from stereokit import InputError, StereoOutput, build_model
+from stereokit.losses import known_truth, masked_cross_entropy, masked_smooth_l1, stereo_loss, truth_of_cells
+from stereokit.regression.soft_argmin import top_k_soft_argmin
 from tests.strategies import disparities
 
 UNKNOWN = [0.0, -3.0, math.nan, math.inf, -math.inf]
@@ -90,3 +91,97 @@ def test_it_is_exact_about_its_bounds():
     truth = torch.tensor([[[191.9, 192.0]]])
     assert_close(masked_smooth_l1(truth - 2, truth, max_disparity=192), torch.tensor(1.5))
     assert_close(masked_smooth_l1(torch.zeros(1, 1, 2), truth, max_disparity=192), torch.tensor(191.4))
+
+
+STRIDE = 4
+known_or_not = st.floats(0.1, 30) | st.sampled_from(UNKNOWN)
+logits_and_truth = st.tuples(st.integers(1, 2), st.integers(1, 6), st.integers(1, 3), st.integers(1, 3)).flatmap(
+    lambda shape: st.tuples(
+        hnp.arrays("float64", shape, elements=st.floats(-9, 9)).map(torch.tensor),
+        hnp.arrays("float64", (shape[0], STRIDE * shape[2], STRIDE * shape[3]), elements=known_or_not).map(
+            torch.tensor
+        ),
+    )
+)
+
+
+def cross_entropy_loop(logits, truth, first_level, max_disparity):
+    entropies = []
+    batch, levels, height, width = logits.shape
+    for b in range(batch):
+        for i in range(height):
+            for j in range(width):
+                g = truth[b, STRIDE * i + STRIDE // 2, STRIDE * j + STRIDE // 2].item()
+                if not (math.isfinite(g) and 0 < g < max_disparity):
+                    continue
+                position = min(max((g - first_level) / STRIDE, 0), levels - 1)
+                log_mass = logits[b, :, i, j].log_softmax(0).tolist()
+                shares = [max(0, 1 - abs(level - position)) for level in range(levels)]
+                entropies.append(-sum(share * mass for share, mass in zip(shares, log_mass, strict=True)))
+    return sum(entropies) / max(1, len(entropies))
+
+
+@given(logits_and_truth, st.sampled_from([0.0, 1.5]), st.sampled_from([math.inf, 20.0]))
+def test_the_cross_entropy_equals_the_loop(given, first_level, max_disparity):
+    logits, truth = given
+    options = {"first_level": first_level, "max_disparity": max_disparity}
+    loss = masked_cross_entropy(logits, truth, stride=STRIDE, **options)
+    assert loss.item() == pytest.approx(cross_entropy_loop(logits, truth, **options), rel=1e-9, abs=1e-12)
+
+
+@given(logits_and_truth)
+def test_the_gradient_of_the_cross_entropy_reaches_all_levels_of_the_known_cells_alone(given):
+    logits, truth = given
+    logits.requires_grad_()
+    masked_cross_entropy(logits, truth, stride=STRIDE).backward()
+    known = known_truth(truth_of_cells(truth, STRIDE)).unsqueeze(1).expand_as(logits)
+    assert (logits.grad[~known] == 0).all()
+    # what a cell's mass is to move by, and so nothing in all
+    assert_close(logits.grad.sum(1), torch.zeros_like(logits.grad[:, 0]))
+    if logits.shape[1] > 2:
+        assert (logits.grad[known] != 0).any() or not known.any()
+
+
+@given(st.floats(0.01, 27.9), st.integers(2, 8))
+def test_where_the_cross_entropy_is_least_the_regressions_give_the_truth(disparity, k):
+    share = disparity / STRIDE % 1
+    lower = int(disparity // STRIDE)
+    mass = torch.zeros(1, 8, 1, 1, dtype=torch.float64)
+    mass[0, lower], mass[0, lower + 1] = 1 - share, share
+    truth = torch.full((1, STRIDE, STRIDE), disparity, dtype=torch.float64)
+    least = masked_cross_entropy(mass.log(), truth, stride=STRIDE)
+    assert least.item() == pytest.approx(-sum(p * math.log(p) for p in (share, 1 - share) if p > 0), abs=1e-6)
+    assert least <= masked_cross_entropy(mass.log() + torch.rand_like(mass), truth, stride=STRIDE) + 1e-9
+    assert STRIDE * top_k_soft_argmin(mass.log(), k).item() == pytest.approx(disparity, abs=1e-6)
+
+
+def test_no_known_cell_is_no_cross_entropy():
+    logits = torch.rand(2, 5, 3, 4, requires_grad=True)
+    loss = masked_cross_entropy(logits, torch.full((2, 12, 16), math.nan), stride=4)
+    loss.backward()
+    assert loss.item() == 0
+    assert (logits.grad == 0).all()
+
+
+@given(st.integers(1, 20), st.integers(1, 20))
+def test_cells_beyond_the_images_do_not_count(height, width):
+    logits, truth = torch.rand(1, 4, 5, 5), torch.rand(1, height, width) * 16
+    cells = truth_of_cells(truth, 4)
+    other = logits.clone()
+    other[:, :, cells.shape[1] :], other[:, :, :, cells.shape[2] :] = 9, -9
+    assert masked_cross_entropy(logits, truth, stride=4) == masked_cross_entropy(other, truth, stride=4)
+
+
+def test_logits_that_do_not_cover_the_truth_are_refused():
+    with pytest.raises(InputError, match=r"\(1, 32, 64\) at stride 4 wants logits of at least \(1, L, 8, 16\)"):
+        masked_cross_entropy(torch.rand(1, 48, 8, 15), torch.rand(1, 32, 64), stride=4)
+
+
+@pytest.mark.parametrize("name", ["coex", "psmnet"])
+def test_a_network_that_is_sure_of_a_level_estimates_its_disparity(name):
+    model = build_model(name, max_disparity=64).eval()
+    logits = torch.full((1, 64 // 4, 3, 3), -200.0)
+    logits[:, 5] = 200
+    distribution = model.upsampler(logits, {}) if model.upsampler.domain == "volume" else logits
+    level = model.regression(distribution) * model.pixels_per_level
+    assert_close(level, torch.full_like(level, model.first_level + 5 * model.upsampler.scale), rtol=0, atol=1e-3)

@@ -10,7 +10,7 @@ from lightning.pytorch import LightningModule
 from torch import Tensor, nn
 
 from stereokit.errors import StereoKitError
-from stereokit.losses import stereo_loss
+from stereokit.losses import known_truth, masked_cross_entropy, stereo_loss, truth_of_cells
 from stereokit.metrics import StereoMetrics
 from stereokit.model import StereoModel, StereoOutput
 from stereokit.optimize import prepare_for_training
@@ -108,7 +108,8 @@ class StereoTraining(LightningModule):
 
     def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
         """The network."""
-        output: StereoOutput = self._network[0](left, right)
+        wanted = {"return_logits": True} if self.recipe.loss.cross_entropy else {}
+        output: StereoOutput = self._network[0](left, right, **wanted)
         return output
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
@@ -148,17 +149,30 @@ class StereoTraining(LightningModule):
         """
         self._statistics_before = [buffer.clone() for buffer in self._batch_statistics()]
         output = self(batch["left"], batch["right"])
-        truth = batch["disparity"]
-        ceiling = math.inf if self.recipe.loss.max_disparity is None else self.recipe.loss.max_disparity
-        loss = stereo_loss(output, truth, auxiliary_weights=self.model.auxiliary_weights, max_disparity=ceiling)
-        if self.trainer.world_size > 1:
-            known = ((truth > 0) & (truth < ceiling)).sum().float()
-            everywhere = cast(Tensor, self.all_gather(known))
-            loss = loss * known / everywhere.mean().clamp(min=1)
+        truth, settings = batch["disparity"], self.recipe.loss
+        ceiling = math.inf if settings.max_disparity is None else settings.max_disparity
+        distance = stereo_loss(output, truth, auxiliary_weights=self.model.auxiliary_weights, max_disparity=ceiling)
+        loss = self._shared(distance, known_truth(truth, ceiling))
+        if output.logits is not None:
+            stride = self.model.upsampler.scale
+            entropy = masked_cross_entropy(
+                output.logits, truth, stride=stride, first_level=self.model.first_level, max_disparity=ceiling
+            )
+            entropy = self._shared(entropy, known_truth(truth_of_cells(truth, stride), ceiling))
+            self.log("cross_entropy", entropy)
+            loss = loss + settings.cross_entropy * entropy
         self.pairs_seen += len(truth) * self.trainer.world_size
         self.log("loss", loss, prog_bar=True)
         self.log("pairs_seen", float(self.pairs_seen))
         return loss
+
+    def _shared(self, mean: Tensor, known: Tensor) -> Tensor:
+        """A mean over known pixels, weighted so that its mean over the processes is that over all their pixels."""
+        if self.trainer.world_size == 1:
+            return mean
+        count = known.sum().float()
+        everywhere = cast(Tensor, self.all_gather(count))
+        return mean * count / everywhere.mean().clamp(min=1)
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
         """Leaves out a step whose gradient is not finite.

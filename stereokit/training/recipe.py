@@ -24,13 +24,19 @@ _FOLDER = files("stereokit.training") / "recipes"
 
 @dataclass(frozen=True, kw_only=True)
 class Loss:
-    """Which ground truth counts, see `stereokit.losses.stereo_loss`.
+    """`stereokit.losses.stereo_loss`, and which ground truth counts.
 
     Attributes:
         max_disparity: ground truth from there up does not count, in pixels; None counts all.
+        cross_entropy: weight of `stereokit.losses.masked_cross_entropy` beside it, on the logits of the best head.
     """
 
     max_disparity: float | None = None
+    cross_entropy: float = 0.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.cross_entropy, bool) or not 0 <= self.cross_entropy < math.inf:
+            raise ConfigError(f"loss: cross_entropy is a weight from 0 up, got {self.cross_entropy!r}")
 
 
 @dataclass(frozen=True, kw_only=True)

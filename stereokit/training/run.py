@@ -428,7 +428,8 @@ def _check_checkpoint(path: Path, steps: int, minutes: float | None) -> None:
 
 def _settled(run: Mapping[str, Any], in_parts: bool) -> dict[str, Any]:
     """What can't change between the start of a run and its resumption: all but its length."""
-    recipe = dict(run["recipe"])
+    # with the defaults of what a run before knew nothing of
+    recipe = Recipe.from_dict(run["recipe"]).to_dict()
     schedule = dict(recipe.pop("schedule"))
     if in_parts:
         schedule["milestones"] = [round(at / (schedule["epochs"] or 1), 9) for at in schedule["milestones"]]

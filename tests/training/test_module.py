@@ -8,7 +8,7 @@ from lightning.pytorch.callbacks import Callback
 from torch import nn
 
 from stereokit.builder import build_model
-from stereokit.losses import stereo_loss
+from stereokit.losses import masked_cross_entropy, stereo_loss
 from stereokit.training import Averaging, StereoTraining, TrainingError
 from stereokit.training.averaging import AveragedWeights
 from stereokit.training.module import MOST_BROKEN_STEPS
@@ -117,6 +117,22 @@ def test_the_loss_is_that_of_the_library():
     )
     trainer = fit(training, [data])
     assert trainer.callback_metrics["loss"].item() == pytest.approx(expected.item(), rel=1e-5)
+
+
+@pytest.mark.parametrize(("name", "first_level"), [("coex", 0), ("psmnet", 1.5)])
+def test_the_cross_entropy_is_of_the_best_head(name, first_level):
+    changes = {"model": {"name": name, "max_disparity": 64}, "loss": Loss(max_disparity=30, cross_entropy=0.5)}
+    model = build_model(name, max_disparity=64)
+    training = StereoTraining(build_model(name, max_disparity=64), replace(TINY, **changes), steps=1)
+    training.model.load_state_dict(model.state_dict())
+    data = batch(known=0.4)
+    output = model(data["left"], data["right"], return_logits=True)
+    truth = data["disparity"]
+    distance = stereo_loss(output, truth, auxiliary_weights=model.auxiliary_weights, max_disparity=30)
+    entropy = masked_cross_entropy(output.logits, truth, stride=4, first_level=first_level, max_disparity=30)
+    logged = fit(training, [data]).callback_metrics
+    assert logged["cross_entropy"].item() == pytest.approx(entropy.item(), rel=1e-4)
+    assert logged["loss"].item() == pytest.approx((distance + 0.5 * entropy).item(), rel=1e-4)
 
 
 class Broken(nn.Module):

@@ -24,6 +24,7 @@ from stereokit.model import StereoModel
 from stereokit.provenance import state_sha256
 from stereokit.training import StereoTraining, TrainingSamples, train, with_length
 from stereokit.training.data import StereoData
+from stereokit.training.recipe import Loss
 from tests.training.tiny import TINY
 
 REPOSITORY = Path(__file__).parents[2]
@@ -170,6 +171,16 @@ def test_only_the_run_that_is_there_is_resumed(tmp_path):
     (run / "checkpoints" / "last.ckpt").write_bytes(b"broken")
     with pytest.raises(CheckpointError, match=r"last.ckpt.* can't be read"):
         train(TINY, run, resume=True, **CPU)
+
+
+def test_a_run_from_before_a_setting_existed_is_resumed(tmp_path):
+    train(with_length(TINY, steps=1), tmp_path, **CPU)
+    record = json.loads((tmp_path / "run.json").read_text())
+    del record["recipe"]["loss"]["cross_entropy"]
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    with pytest.raises(ConfigError, match="was started with loss"):
+        train(with_length(replace(TINY, loss=Loss(cross_entropy=1)), steps=2), tmp_path, resume=True, **CPU)
+    assert train(with_length(TINY, steps=2), tmp_path, resume=True, **CPU).record["steps"] == 2
 
 
 def test_settings_that_do_not_go_together(tmp_path):
@@ -378,7 +389,8 @@ def gradients(path, processes):
             return sample
 
     torch.manual_seed(0)
-    training = StereoTraining(build_model("coex", max_disparity=32), TINY, steps=1)
+    recipe = replace(TINY, loss=Loss(cross_entropy=1))
+    training = StereoTraining(build_model("coex", max_disparity=32), recipe, steps=1)
     samples = TrainingSamples([Sparse(size=(48, 80), max_disparity=16)], TINY.augmentation, seed=0)
     trainer = Trainer(
         accelerator="cpu",
