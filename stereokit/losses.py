@@ -9,18 +9,10 @@ from torch.nn import functional as F
 
 from stereokit.errors import InputError
 from stereokit.layers import at_least_float32
+from stereokit.metrics import valid_pixels
 from stereokit.model import StereoOutput
 
-__all__ = ["known_truth", "masked_cross_entropy", "masked_smooth_l1", "stereo_loss", "truth_of_cells"]
-
-
-def known_truth(truth: Tensor, max_disparity: float = math.inf) -> Tensor:
-    """Where ground truth counts: finite, positive and below `max_disparity`.
-
-    >>> known_truth(torch.tensor([0.0, 3.0, torch.inf, 200.0]), max_disparity=192)
-    tensor([False,  True, False, False])
-    """
-    return truth.isfinite() & (truth > 0) & (truth < max_disparity)
+__all__ = ["masked_cross_entropy", "masked_smooth_l1", "stereo_loss", "truth_of_cells"]
 
 
 def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float = math.inf) -> Tensor:
@@ -48,7 +40,7 @@ def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float =
         raise InputError(
             f"estimate and ground truth differ in shape: {tuple(disparity.shape)} and {tuple(truth.shape)}"
         )
-    known = known_truth(truth, max_disparity)
+    known = valid_pixels(truth) & (truth < max_disparity)
     target = torch.where(known, truth, disparity.detach())
     distance = F.smooth_l1_loss(disparity, target.to(disparity.dtype), reduction="none")
     return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)
@@ -103,7 +95,7 @@ def masked_cross_entropy(
             f"ground truth {tuple(truth.shape)} at stride {stride} wants logits of at least "
             f"({len(truth)}, L, {rows}, {columns}); got {tuple(logits.shape)}"
         )
-    known = known_truth(cells, max_disparity)
+    known = valid_pixels(cells) & (cells < max_disparity)
     last = logits.shape[1] - 1
     position = torch.where(known, (cells - first_level) / stride, 0).clamp(0, last).unsqueeze(1)
     lower = position.floor().clamp(max=max(last - 1, 0))

@@ -8,7 +8,8 @@ from hypothesis.extra import numpy as hnp
 from torch.testing import assert_close
 
 from stereokit import InputError, StereoOutput, build_model
-from stereokit.losses import known_truth, masked_cross_entropy, masked_smooth_l1, stereo_loss, truth_of_cells
+from stereokit.losses import masked_cross_entropy, masked_smooth_l1, stereo_loss, truth_of_cells
+from stereokit.metrics import valid_pixels
 from stereokit.regression.soft_argmin import top_k_soft_argmin
 from tests.strategies import disparities
 
@@ -134,7 +135,7 @@ def test_the_gradient_of_the_cross_entropy_reaches_all_levels_of_the_known_cells
     logits, truth = given
     logits.requires_grad_()
     masked_cross_entropy(logits, truth, stride=STRIDE).backward()
-    known = known_truth(truth_of_cells(truth, STRIDE)).unsqueeze(1).expand_as(logits)
+    known = valid_pixels(truth_of_cells(truth, STRIDE)).unsqueeze(1).expand_as(logits)
     assert (logits.grad[~known] == 0).all()
     # what a cell's mass is to move by, and so nothing in all
     assert_close(logits.grad.sum(1), torch.zeros_like(logits.grad[:, 0]))

@@ -10,8 +10,8 @@ from lightning.pytorch import LightningModule
 from torch import Tensor, nn
 
 from stereokit.errors import StereoKitError
-from stereokit.losses import known_truth, masked_cross_entropy, stereo_loss, truth_of_cells
-from stereokit.metrics import StereoMetrics
+from stereokit.losses import masked_cross_entropy, stereo_loss, truth_of_cells
+from stereokit.metrics import StereoMetrics, valid_pixels
 from stereokit.model import StereoModel, StereoOutput
 from stereokit.optimize import prepare_for_training
 from stereokit.training.recipe import Recipe
@@ -152,13 +152,13 @@ class StereoTraining(LightningModule):
         truth, settings = batch["disparity"], self.recipe.loss
         ceiling = math.inf if settings.max_disparity is None else settings.max_disparity
         distance = stereo_loss(output, truth, auxiliary_weights=self.model.auxiliary_weights, max_disparity=ceiling)
-        loss = self._shared(distance, known_truth(truth, ceiling))
+        loss = self._shared(distance, truth)
         if output.logits is not None:
             stride = self.model.upsampler.scale
             entropy = masked_cross_entropy(
                 output.logits, truth, stride=stride, first_level=self.model.first_level, max_disparity=ceiling
             )
-            entropy = self._shared(entropy, known_truth(truth_of_cells(truth, stride), ceiling))
+            entropy = self._shared(entropy, truth_of_cells(truth, stride))
             self.log("cross_entropy", entropy)
             loss = loss + settings.cross_entropy * entropy
         self.pairs_seen += len(truth) * self.trainer.world_size
@@ -166,11 +166,11 @@ class StereoTraining(LightningModule):
         self.log("pairs_seen", float(self.pairs_seen))
         return loss
 
-    def _shared(self, mean: Tensor, known: Tensor) -> Tensor:
+    def _shared(self, mean: Tensor, truth: Tensor) -> Tensor:
         """A mean over known pixels, weighted so that its mean over the processes is that over all their pixels."""
         if self.trainer.world_size == 1:
             return mean
-        count = known.sum().float()
+        count = valid_pixels(truth, max_disparity=self.recipe.loss.max_disparity).sum().float()
         everywhere = cast(Tensor, self.all_gather(count))
         return mean * count / everywhere.mean().clamp(min=1)
 
