@@ -382,7 +382,10 @@ def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: 
     """Makes the folder of a new run, or sees that the one there is of the same run."""
     record = out / "run.json"
     if record.exists() and resume:
-        _check_same_run(out, _read_json(record), asked)
+        before = _read_json(record)
+        _check_same_run(out, before, asked)
+        if before.pop("ended_by", None) is not None:
+            _write_json(record, before)
         return
     if record.exists() and not _failed_at_once(out, _read_json(record)):
         raise InputError(f"{str(out)!r} holds a run already; go on with it by --resume, or choose another --out")

@@ -267,7 +267,8 @@ def test_pairs_without_ground_truth_are_refused_ahead(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path):
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path, resume):
     write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
     image = sorted((tmp_path / "data").rglob("left/*.png"))[0]
     whole = image.read_bytes()
@@ -280,7 +281,8 @@ def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path):
     assert image.name in str(caught.value)
     assert json.loads((tmp_path / "run" / "run.json").read_text())["ended_by"] == str(caught.value)
     image.write_bytes(whole)
-    assert train(recipe, tmp_path / "run", data=data, **CPU).record["steps"] == 1
+    assert train(recipe, tmp_path / "run", data=data, resume=resume, **CPU).record["steps"] == 1
+    assert "ended_by" not in json.loads((tmp_path / "run" / "run.json").read_text())
 
 
 def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
