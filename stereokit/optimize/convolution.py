@@ -8,6 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from stereokit.optimize.training import StridedDepthwise
+
 __all__ = ["Convolution", "FusedConvolution", "fold_batch_norm", "fusable_activation", "is_plain_convolution"]
 
 Convolution: TypeAlias = nn.Conv2d | nn.Conv3d | nn.ConvTranspose2d | nn.ConvTranspose3d
@@ -59,7 +61,7 @@ def fusable_activation(module: nn.Module) -> Activation | None:
 def is_plain_convolution(module: nn.Module) -> bool:
     """Whether a module is one of PyTorch's convolutions as it comes: no subclass, hooks or other padding than zeros."""
     return (
-        type(module) in (nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d, nn.ConvTranspose3d)
+        type(module) in (nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d, nn.ConvTranspose3d, StridedDepthwise)
         and module.padding_mode == "zeros"
         and not isinstance(module.padding, str)
         # replaced on the instance

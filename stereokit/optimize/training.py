@@ -1,20 +1,40 @@
-"""Memory formats for training."""
+"""Memory formats and types for training."""
 
 from typing import TypeVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
-__all__ = ["prepare_for_training"]
+__all__ = ["StridedDepthwise", "prepare_for_training"]
 
 Network = TypeVar("Network", bound=nn.Module)
+
+
+class StridedDepthwise(nn.Conv2d):
+    """A depthwise convolution with a stride that a CPU's autocast leaves in float32.
+
+    oneDNN has no fast kernel for the gradient of its input in bfloat16, only one that takes ten times as long.
+
+    >>> conv = StridedDepthwise(8, 8, 3, stride=2, padding=1, groups=8)
+    >>> with torch.autocast("cpu", torch.bfloat16):
+    ...     conv(torch.rand(1, 8, 6, 6)).dtype
+    torch.bfloat16
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The convolution of x."""
+        if x.device.type != "cpu" or not torch.is_autocast_enabled("cpu"):
+            return super().forward(x)
+        with torch.autocast("cpu", enabled=False):
+            y = super().forward(x.float())
+        return y.to(torch.get_autocast_dtype("cpu"))
 
 
 def prepare_for_training(model: Network) -> Network:
     """Puts the weights of 3D, of depthwise and of 1 x 1 convolutions into channels-last memory formats.
 
     Their values, names and gradients stay, and so do optimisers and checkpoints: only the order in memory changes.
-    Results differ by rounding.
+    Strided depthwise convolutions become `StridedDepthwise`. Results differ by rounding.
 
     Args:
         model: changed in place.
@@ -31,8 +51,10 @@ def prepare_for_training(model: Network) -> Network:
     for module in model.modules():
         if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
             module.to(memory_format=torch.channels_last_3d)
-        elif isinstance(module, nn.Conv2d) and (
-            module.groups == module.in_channels > 1 or module.kernel_size == (1, 1)
-        ):
-            module.to(memory_format=torch.channels_last)
+        elif isinstance(module, nn.Conv2d):
+            depthwise = module.groups == module.in_channels > 1
+            if depthwise or module.kernel_size == (1, 1):
+                module.to(memory_format=torch.channels_last)
+            if depthwise and module.stride != (1, 1) and type(module) is nn.Conv2d:
+                module.__class__ = StridedDepthwise
     return model
