@@ -66,6 +66,8 @@ class _ProgressBar(TQDMProgressBar):
         bar = super().init_train_tqdm()
         if cast(StereoTraining, self.trainer.lightning_module).minutes is not None:
             bar.bar_format = "{desc}{n_fmt} [{elapsed}, {rate_noinv_fmt}{postfix}]"
+        # Lightning sets these where an epoch starts; a run that is resumed is within one
+        bar.total, bar.initial = self.total_train_batches, self.trainer.global_step
         return bar
 
     def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:

@@ -116,12 +116,14 @@ def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
         assert resumed.record["validation"][key] == pytest.approx(value, rel=1e-3)
 
 
-def test_a_finished_run_can_be_made_longer(tmp_path):
+def test_a_finished_run_can_be_made_longer(tmp_path, capsys):
     train(with_length(TINY, steps=4), tmp_path, checkpoint_every=2, **CPU)
     assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt"}
     with pytest.raises(ConfigError, match="is finished: it is at step 4, and 4 steps were asked for"):
         train(with_length(TINY, steps=4), tmp_path, resume=True, **CPU)
+    capsys.readouterr()
     longer = train(with_length(TINY, steps=6), tmp_path, resume=True, checkpoint_every=4, **CPU)
+    assert "| 5/6 [" in capsys.readouterr().out
     assert longer.record["steps"] == 6
     assert longer.record["pairs_seen"] == 12
     with pytest.raises(ConfigError, match="is finished: it is at step 6, and 3 steps were asked for"):
