@@ -104,7 +104,8 @@ def test_a_gradient_reaches_the_images():
         network(image, right).disparity.mean().backward()
         gradients.append(image.grad)
     assert gradients[0].abs().max() > 0
-    assert_close(gradients[1], gradients[0], rtol=1e-2, atol=1e-5)
+    # in norm: rounding decides on which side of an activation's kink a value lies
+    assert (gradients[1] - gradients[0]).norm() < 1e-2 * gradients[0].norm()
 
 
 class Foreign(nn.Module):
