@@ -11,7 +11,7 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 class StridedDepthwise(nn.Conv2d):
-    """A depthwise convolution with a stride that a CPU's autocast leaves in float32.
+    """A depthwise convolution with a stride that a CPU's autocast leaves in the type of its weights, float32 as a rule.
 
     oneDNN has no fast kernel for the gradient of its input in bfloat16, only one that takes ten times as long.
 
@@ -26,7 +26,7 @@ class StridedDepthwise(nn.Conv2d):
         if x.device.type != "cpu" or not torch.is_autocast_enabled("cpu"):
             return super().forward(x)
         with torch.autocast("cpu", enabled=False):
-            y = super().forward(x.float())
+            y = super().forward(x.to(self.weight.dtype))
         return y.to(torch.get_autocast_dtype("cpu"))
 
 

@@ -49,6 +49,12 @@ def test_autocast_leaves_strided_depthwise_convolutions_in_float32(stride, chann
     assert (fast(x.float()) == 2**-10).all()
 
 
+def test_weights_of_half_precision_work_in_autocast():
+    fast = prepare_for_training(nn.Conv2d(4, 4, 3, stride=2, groups=4).bfloat16())
+    with torch.autocast("cpu", torch.bfloat16):
+        assert fast(torch.rand(1, 4, 6, 6)).dtype == torch.bfloat16
+
+
 def test_other_convolutions_stay_what_they_are():
     kinds = [nn.Conv2d(8, 8, 3, groups=8), nn.Conv2d(8, 8, 3, stride=2), nn.Conv2d(8, 8, 3, stride=2, groups=2)]
     assert all(type(module) is nn.Conv2d for module in prepare_for_training(nn.Sequential(*kinds)))
