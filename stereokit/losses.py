@@ -1,6 +1,5 @@
 """Training losses over the known pixels: smooth L1 of the disparities, cross-entropy of the distributions."""
 
-import math
 from collections.abc import Sequence
 
 import torch
@@ -15,7 +14,7 @@ from stereokit.model import StereoOutput
 __all__ = ["masked_cross_entropy", "masked_smooth_l1", "stereo_loss", "truth_of_cells"]
 
 
-def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float = math.inf) -> Tensor:
+def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float | None = None) -> Tensor:
     r"""Mean smooth-L1 distance over the pixels with known ground truth.
 
     .. math:: L = \frac{1}{N} \sum_{i:\, 0 < g_i < D} \mathrm{smooth}_{L_1}(g_i - \hat d_i)
@@ -23,13 +22,13 @@ def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float =
     Args:
         disparity: estimate, (B, H, W), pixels.
         truth: g, (B, H, W), pixels; 0, negative and non-finite values are unknown.
-        max_disparity: D; ground truth from there up does not count.
+        max_disparity: D; ground truth from there up does not count. None counts every known pixel.
 
     Returns:
         A scalar; 0, with a gradient of 0, where no pixel is known.
 
     Raises:
-        InputError: the shapes differ.
+        InputError: the shapes differ, or a ceiling that leaves nothing.
 
     Source: CoEx, equation "smooth L1".
 
@@ -40,7 +39,7 @@ def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float =
         raise InputError(
             f"estimate and ground truth differ in shape: {tuple(disparity.shape)} and {tuple(truth.shape)}"
         )
-    known = valid_pixels(truth) & (truth < max_disparity)
+    known = valid_pixels(truth, max_disparity=max_disparity)
     target = torch.where(known, truth, disparity.detach())
     distance = F.smooth_l1_loss(disparity, target.to(disparity.dtype), reduction="none")
     return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)
@@ -56,7 +55,7 @@ def truth_of_cells(truth: Tensor, stride: int) -> Tensor:
 
 
 def masked_cross_entropy(
-    logits: Tensor, truth: Tensor, *, stride: int, first_level: float = 0.0, max_disparity: float = math.inf
+    logits: Tensor, truth: Tensor, *, stride: int, first_level: float = 0.0, max_disparity: float | None = None
 ) -> Tensor:
     r"""Mean cross-entropy between the distribution over the levels and the truth, split between its two levels.
 
@@ -73,7 +72,7 @@ def masked_cross_entropy(
             pixel in its middle; the logits may reach beyond, where the images were padded.
         stride: s, pixels of a level, and of a cell in height and width.
         first_level: x_0, the disparity of the first level, in pixels; see `StereoModel.first_level`.
-        max_disparity: ground truth from there up does not count.
+        max_disparity: as in `masked_smooth_l1`.
 
     Returns:
         A scalar; 0, with a gradient of 0, where no cell is known.
@@ -95,7 +94,7 @@ def masked_cross_entropy(
             f"ground truth {tuple(truth.shape)} at stride {stride} wants logits of at least "
             f"({len(truth)}, L, {rows}, {columns}); got {tuple(logits.shape)}"
         )
-    known = valid_pixels(cells) & (cells < max_disparity)
+    known = valid_pixels(cells, max_disparity=max_disparity)
     last = logits.shape[1] - 1
     position = torch.where(known, (cells - first_level) / stride, 0).clamp(0, last).unsqueeze(1)
     lower = position.floor().clamp(max=max(last - 1, 0))
@@ -112,7 +111,7 @@ def stereo_loss(
     truth: Tensor,
     *,
     auxiliary_weights: Sequence[float],
-    max_disparity: float = math.inf,
+    max_disparity: float | None = None,
 ) -> Tensor:
     """Weighted mean of `masked_smooth_l1` over the outputs of a network, the final one with weight 1.
 
@@ -120,7 +119,7 @@ def stereo_loss(
         output: of a network in training mode.
         truth: (B, H, W), pixels; 0, negative and non-finite values are unknown.
         auxiliary_weights: one per auxiliary disparity; `StereoModel.auxiliary_weights` are those of the papers.
-        max_disparity: ground truth from there up does not count.
+        max_disparity: as in `masked_smooth_l1`.
 
     Raises:
         InputError: there are not as many weights as auxiliary disparities.

@@ -21,13 +21,13 @@ estimates = hnp.arrays("float64", (1, 2, 3), elements=st.floats(0, 60)).map(torc
 def loop(disparity, truth, max_disparity):
     distances = []
     for d, g in zip(disparity.flatten().tolist(), truth.flatten().tolist(), strict=True):
-        if math.isfinite(g) and 0 < g < max_disparity:
+        if math.isfinite(g) and 0 < g < (max_disparity or math.inf):
             error = abs(d - g)
             distances.append(error - 0.5 if error >= 1 else error**2 / 2)
     return sum(distances) / max(1, len(distances))
 
 
-@given(estimates, truths, st.sampled_from([math.inf, 192, 40, 20.0]))
+@given(estimates, truths, st.sampled_from([None, 192, 40, 20.0]))
 def test_it_equals_the_loop(disparity, truth, max_disparity):
     loss = masked_smooth_l1(disparity, truth, max_disparity=max_disparity)
     assert loss.item() == pytest.approx(loop(disparity, truth, max_disparity))
@@ -51,6 +51,12 @@ def test_no_known_pixel_is_no_loss(unknown):
     loss.backward()
     assert loss.item() == 0
     assert (disparity.grad == 0).all()
+
+
+@pytest.mark.parametrize("max_disparity", [0, -1, math.inf, math.nan])
+def test_a_ceiling_that_makes_no_sense_is_refused(max_disparity):
+    with pytest.raises(InputError, match="max_disparity"):
+        masked_smooth_l1(torch.rand(1, 2, 2), torch.rand(1, 2, 2), max_disparity=max_disparity)
 
 
 @given(disparities())
@@ -113,7 +119,7 @@ def cross_entropy_loop(logits, truth, first_level, max_disparity):
         for i in range(height):
             for j in range(width):
                 g = truth[b, STRIDE * i + STRIDE // 2, STRIDE * j + STRIDE // 2].item()
-                if not (math.isfinite(g) and 0 < g < max_disparity):
+                if not (math.isfinite(g) and 0 < g < (max_disparity or math.inf)):
                     continue
                 position = min(max((g - first_level) / STRIDE, 0), levels - 1)
                 log_mass = logits[b, :, i, j].log_softmax(0).tolist()
@@ -122,7 +128,7 @@ def cross_entropy_loop(logits, truth, first_level, max_disparity):
     return sum(entropies) / max(1, len(entropies))
 
 
-@given(logits_and_truth, st.sampled_from([0.0, 1.5]), st.sampled_from([math.inf, 20.0]))
+@given(logits_and_truth, st.sampled_from([0.0, 1.5]), st.sampled_from([None, 20.0]))
 def test_the_cross_entropy_equals_the_loop(given, first_level, max_disparity):
     logits, truth = given
     options = {"first_level": first_level, "max_disparity": max_disparity}

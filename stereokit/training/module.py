@@ -1,6 +1,5 @@
 """The network, its loss and its optimiser, as Lightning runs them."""
 
-import math
 import time
 from collections.abc import Iterator
 from typing import Any, cast
@@ -150,7 +149,7 @@ class StereoTraining(LightningModule):
         self._statistics_before = [buffer.clone() for buffer in self._batch_statistics()]
         output = self(batch["left"], batch["right"])
         truth, settings = batch["disparity"], self.recipe.loss
-        ceiling = math.inf if settings.max_disparity is None else settings.max_disparity
+        ceiling = settings.max_disparity
         distance = stereo_loss(output, truth, auxiliary_weights=self.model.auxiliary_weights, max_disparity=ceiling)
         loss = self._shared(distance, truth)
         if output.logits is not None:
