@@ -1,7 +1,9 @@
 """Training samples by number: what is drawn hangs on the seed and the number alone."""
 
+import os
 from collections.abc import Iterator, Sequence
-from multiprocessing import get_all_start_methods
+from multiprocessing import get_all_start_methods, parent_process
+from threading import Thread
 from typing import Any, Protocol, TypedDict
 
 import cv2
@@ -192,10 +194,19 @@ def worker_processes(workers: int) -> dict[str, Any]:
         return {"num_workers": 0}
     # a forked copy of OpenCV's thread pool hangs
     start = "forkserver" if "forkserver" in get_all_start_methods() else "spawn"
-    return {"num_workers": workers, "multiprocessing_context": start, "worker_init_fn": _one_thread}
+    return {"num_workers": workers, "multiprocessing_context": start, "worker_init_fn": _start_worker}
 
 
-def _one_thread(_worker: int) -> None:
+def _start_worker(_worker: int) -> None:
     # workers share the cores with each other and with the network
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
+    Thread(target=_end_with_trainer, daemon=True).start()
+
+
+def _end_with_trainer() -> None:
+    # the process that PyTorch's workers watch is the fork server here, which itself waits for the workers' end
+    trainer = parent_process()
+    if trainer is not None:
+        trainer.join()
+        os._exit(1)

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from collections import Counter
 from itertools import chain
 
@@ -111,3 +113,26 @@ def test_a_pair_without_truth_is_a_batch_of_unknowns():
     batch = to_batch(next(pairs(1, truth=False)))
     assert batch["left"].shape == (1, 3, 8, 12)
     assert batch["disparity"].isnan().all()
+
+
+LOADING = """
+import time
+from stereokit.data.augmentation import Augmentation
+from stereokit.data.synthetic import SyntheticScenes
+from stereokit.training import ResumableLoader, TrainingSamples
+
+scenes = SyntheticScenes(size=(32, 48), max_disparity=16, count=8)
+samples = TrainingSamples([scenes], Augmentation(crop_height=32, crop_width=48), seed=0)
+batches = iter(ResumableLoader(samples, batch=2, steps=100, workers=2))
+next(batches)
+print("loading", flush=True)
+time.sleep(600)
+"""
+
+
+def test_workers_end_with_a_training_that_is_killed():
+    with subprocess.Popen([sys.executable, "-c", LOADING], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "loading\n"
+        process.kill()
+        # the workers hold the pipe open for as long as they live
+        assert process.communicate(timeout=60)[0] == ""
