@@ -95,7 +95,7 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     path = options.out / f"{name}.json"
     asked = {key: getattr(options, key) for key in ("minutes", "steps", "batch", "seed", "test_scenes", "precision")}
     asked["crop"] = list(options.crop)
-    asked["scenes"] = dict(load_recipe("synthetic").scenes or {})
+    asked["recipe"] = recipe_of(options, row.model, {}).to_dict()
     if path.is_file():
         before = json.loads(path.read_text(encoding="utf-8"))
         if before["asked"] != asked:
@@ -114,22 +114,28 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     return result
 
 
-def trained(
-    model: str, overrides: dict[str, Any], asked: dict[str, Any], options: argparse.Namespace
-) -> tuple[StereoModel, dict[str, Any]]:
-    budget = {**asked, "crop": "x".join(map(str, options.crop)), "test_scenes": None, "scenes": None}
-    folder = options.out / "runs" / "_".join(words(budget)) / "_".join([model, *words(overrides)])
-    if (folder / "network" / "training.json").is_file():
-        record = json.loads((folder / "network" / "training.json").read_text(encoding="utf-8"))
-        return StereoModel.from_pretrained(folder / "network"), summary(record)
-    recipe: Recipe = with_length(load_recipe("synthetic"), steps=options.steps or 1_000_000, batch=options.batch)
+def recipe_of(options: argparse.Namespace, model: str, overrides: dict[str, Any]) -> Recipe:
+    recipe = with_length(load_recipe("synthetic"), steps=options.steps or 1_000_000, batch=options.batch)
     height, width = options.crop
-    recipe = replace(
+    return replace(
         recipe,
         model={"name": model, **overrides},
         augmentation=replace(recipe.augmentation, crop_height=height, crop_width=width),
         scenes={**(recipe.scenes or {}), "size": [height + 32, width + 64]},
     )
+
+
+def trained(
+    model: str, overrides: dict[str, Any], asked: dict[str, Any], options: argparse.Namespace
+) -> tuple[StereoModel, dict[str, Any]]:
+    budget = {**asked, "crop": "x".join(map(str, options.crop)), "test_scenes": None, "recipe": None}
+    recipe = recipe_of(options, model, overrides)
+    folder = options.out / "runs" / "_".join(words(budget)) / "_".join([model, *words(overrides)])
+    if (folder / "network" / "training.json").is_file():
+        record = json.loads((folder / "network" / "training.json").read_text(encoding="utf-8"))
+        if record["recipe"] != recipe.to_dict():
+            raise StereoKitError(f"{str(folder)!r} was trained by another recipe; choose another --out")
+        return StereoModel.from_pretrained(folder / "network"), summary(record)
     outcome = train(
         recipe,
         folder,
@@ -154,7 +160,7 @@ def summary(record: Mapping[str, Any]) -> dict[str, Any]:
 def tested(model: StereoModel, asked: dict[str, Any], options: argparse.Namespace) -> dict[str, Any]:
     device = torch.device("cuda" if torch.cuda.is_available() and options.accelerator != "cpu" else "cpu")
     model.eval().to(device)
-    settings = {**asked["scenes"], "size": tuple(options.crop)}
+    settings = {**asked["recipe"]["scenes"], "size": tuple(options.crop)}
     scenes = SyntheticScenes(**settings, seed=TEST_SEED, count=options.test_scenes)
     metrics = StereoMetrics()
     for index in tqdm(range(len(scenes)), unit="scene", leave=False):

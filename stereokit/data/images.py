@@ -13,6 +13,7 @@ from stereokit.data.image_header import ImageHeader, read_image_header
 from stereokit.errors import InputError
 
 __all__ = [
+    "IMAGE_SUFFIXES",
     "MAX_PIXELS",
     "read_file_bytes",
     "read_image",
@@ -21,6 +22,9 @@ __all__ = [
     "write_image",
     "write_samples",
 ]
+
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".webp", ".bmp", ".tif", ".tiff"}
+"""Of the files that are taken for images in a folder."""
 
 MAX_PIXELS = 10**8
 """The most pixels a file may claim to hold. Above it a file is refused before memory is reserved for it."""

@@ -6,12 +6,11 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from stereokit.data.images import IMAGE_SUFFIXES
 from stereokit.errors import InputError
 from stereokit.wording import counted
 
 __all__ = ["ImagePair", "match_pairs"]
-
-SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp"}
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> 
     lefts, rights = find(left), find(right)
     for where, found in ((left, lefts), (right, rights)):
         if not found:
-            raise InputError(f"no images found at {where!r}; expected {', '.join(sorted(SUFFIXES))} files")
+            raise InputError(f"no images found at {where!r}; expected {', '.join(sorted(IMAGE_SUFFIXES))} files")
     alone = [str(path) for a, b in ((lefts, rights), (rights, lefts)) for key, path in a.items() if key not in b]
     if alone:
         shown = ", ".join(alone[:5]) + (f" and {len(alone) - 5} more" if len(alone) > 5 else "")
@@ -78,7 +77,7 @@ def _kind(where: str) -> str:
 def _in_folder(folder: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for path in sorted(Path(folder).iterdir()):
-        if path.suffix.lower() in SUFFIXES and path.is_file():
+        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
             _add(found, path.stem, path)
     return found
 
@@ -89,7 +88,7 @@ def _by_pattern(pattern: str) -> dict[str, Path]:
     for name in sorted(glob.glob(pattern, recursive=True)):
         path = Path(name)
         match = expression.fullmatch(name.replace(os.sep, "/"))
-        if match and path.suffix.lower() in SUFFIXES and path.is_file():
+        if match and path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
             texts = (text.strip("/").replace("/", "_") for text in match.groups())
             _add(found, "_".join(text for text in texts if text), path)
     return found

@@ -50,8 +50,9 @@ class AveragedWeights(WeightAveraging):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Counts the step before it is averaged."""
-        if self.settings.kind == "ema" or self.progress() >= self.settings.start:
-            self.averaged_steps += 1
+        counts = self.settings.kind == "ema" or self.progress() >= self.settings.start
+        # a run that is made longer may be ahead of the start again
+        self.averaged_steps = self.averaged_steps + 1 if counts else 0
         super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
 
     @property

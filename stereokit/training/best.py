@@ -1,5 +1,6 @@
 """The network that validated best."""
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +15,7 @@ class BestNetwork(Callback):
 
     Args:
         save: what is called then, in the first process.
-        smallest: of a run that goes on. Checkpoints do not hold it: they are written ahead of their step's validation.
+        smallest: of a run that goes on.
     """
 
     def __init__(self, save: Callable[[], object], smallest: float | None = None) -> None:
@@ -24,7 +25,11 @@ class BestNetwork(Callback):
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Behind the count of the errors."""
         errors: Any = pl_module.errors
-        bad = errors["validation/bad_3"]
+        bad = errors.get("validation/bad_3")
+        if bad is None:
+            said = "no pixel of the validation pairs has ground truth that counts: none of the networks is the best"
+            warnings.warn(said, stacklevel=2)
+            return
         if self.smallest is None or bad < self.smallest:
             self.smallest = bad
             if trainer.is_global_zero:

@@ -231,11 +231,12 @@ class StereoTraining(LightningModule):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """What the run needs besides Lightning's own state."""
+        ended_by_minutes = self.trainer.should_stop and self.trainer.global_step < self.steps
         checkpoint["stereokit"] = {
             "seconds": self.seconds,
             "pairs_seen": self.pairs_seen,
             "broken_steps": self.broken_steps,
-            "ended_by_minutes": self.minutes if self.trainer.should_stop else None,
+            "ended_by_minutes": self.minutes if ended_by_minutes else None,
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:

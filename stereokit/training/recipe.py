@@ -56,6 +56,9 @@ class Optimisation:
     def __post_init__(self) -> None:
         clip = math.inf if self.gradient_clip is None else self.gradient_clip
         _check_positive("optimisation", learning_rate=self.learning_rate, gradient_clip=clip)
+        pair = self.betas if isinstance(self.betas, list | tuple) else ()
+        if len(pair) != 2 or not all(isinstance(beta, int | float) and 0 <= beta < 1 for beta in pair):
+            raise ConfigError(f"optimisation: betas are two numbers from 0 to below 1; got {self.betas!r}")
 
 
 @dataclass(frozen=True, kw_only=True)

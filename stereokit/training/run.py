@@ -23,6 +23,7 @@ from stereokit.data.datasets import open_dataset
 from stereokit.data.datasets.dataset import StereoDataset, StereoSample
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
+from stereokit.memory import running_out_as
 from stereokit.model import StereoModel
 from stereokit.provenance import commit, machine, state_sha256, versions
 from stereokit.training.averaging import AveragedWeights
@@ -38,6 +39,8 @@ __all__ = ["Outcome", "train"]
 
 VALIDATION_SEED = 1_000_003
 VALIDATION_SCENES = 16
+
+TOO_MUCH_MEMORY = "a step takes more memory than there is; a smaller --batch, or crop_height and crop_width, would do"
 
 
 @dataclass(frozen=True)
@@ -83,21 +86,34 @@ class _LastCheckpoint(Checkpoint):
     """Writes the state of the run to one file every so many steps, and behind the last one to a file of its own.
 
     `train` puts that one in the other's place when the network is saved: a run that is killed before still has its end
-    to come.
+    to come. A step that is validated is written behind its validation, which a run that is killed in it repeats.
     """
 
-    def __init__(self, path: Path, every: int) -> None:
+    def __init__(self, path: Path, every: int, validate_every: int | None) -> None:
         self.path = path
-        self.end = path.with_name("end.ckpt")
+        self.end, self.part = (path.with_name(name) for name in ("end.ckpt", "part.ckpt"))
         self.every = every
+        self.validate_every = validate_every
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         if trainer.should_stop:
             trainer.save_checkpoint(self.end)
-        elif trainer.global_step % self.every == 0:
-            trainer.save_checkpoint(self.path)
+        elif self.validate_every is None or trainer.global_step % self.validate_every:
+            self._write(trainer)
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if not trainer.should_stop:
+            self._write(trainer)
+
+    def _write(self, trainer: Trainer) -> None:
+        if trainer.global_step % self.every:
+            return
+        # Lightning's own temporary file lies elsewhere, and a move from there is no single step
+        trainer.save_checkpoint(self.part)
+        if trainer.is_global_zero:
+            self.part.replace(self.path)
 
 
 def train(
@@ -180,6 +196,7 @@ def train(
         "seed": seed,
         "data": list(data),
         "textures": None if textures is None else str(textures),
+        "validate": list(validation),
         "start": None if model is None else state_sha256(model.state_dict()),
     }
     last = out / "checkpoints" / "last.ckpt"
@@ -192,7 +209,8 @@ def train(
     training = StereoTraining(
         network, recipe, steps=steps, minutes=minutes, validation=tuple(validation_sets), compile=compile
     )
-    checkpoint = _LastCheckpoint(last, checkpoint_every)
+    validate_every = min(validate_every, steps)
+    checkpoint = _LastCheckpoint(last, checkpoint_every, validate_every if validation_sets else None)
     # ahead of the network's conversion for several GPUs, which its copy is not meant to see
     averaged = None if recipe.averaging.kind == "none" else AveragedWeights(recipe.averaging, lambda: training.progress)
     callbacks: list[Callback] = [] if averaged is None else [averaged]
@@ -232,7 +250,7 @@ def train(
                 max_steps=steps,
                 max_epochs=1,
                 gradient_clip_val=recipe.optimisation.gradient_clip,
-                val_check_interval=min(validate_every, steps),
+                val_check_interval=validate_every,
                 limit_val_batches=None if validation_sets else 0,
                 check_val_every_n_epoch=None,
                 num_sanity_val_steps=0,
@@ -265,18 +283,23 @@ def train(
         workers=usual_workers(trainer.num_devices) if workers is None else workers,
     )
     try:
-        with _without_noise(), _in_one_line():
+        with _without_noise(), _in_one_line(), running_out_as(f"{recipe.name}: {TOO_MUCH_MEMORY}"):
             trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
-    except StereoKitError as error:
+    except Exception as error:
         if is_first_process():
-            _write_json(out / "run.json", {**_read_json(out / "run.json"), "ended_by": str(error)})
+            ended_by = str(error) if isinstance(error, StereoKitError) else f"{type(error).__name__}: {error}"
+            _write_json(out / "run.json", {**_read_json(out / "run.json"), "ended_by": ended_by})
         raise
-    if trainer.interrupted:
-        raise KeyboardInterrupt
+    except SystemExit as error:
+        # what Lightning makes of Ctrl-C
+        if isinstance(error.__context__, KeyboardInterrupt):
+            raise KeyboardInterrupt from None
+        raise
     network.cpu().eval()
     record = save(out / "network", network)
     if is_first_process():
         checkpoint.end.replace(last)
+        checkpoint.part.unlink(missing_ok=True)
     return Outcome(network, out / "network", record)
 
 
@@ -439,7 +462,7 @@ def _settled(run: Mapping[str, Any], in_parts: bool) -> dict[str, Any]:
     if in_parts:
         schedule["milestones"] = [round(at / (schedule["epochs"] or 1), 9) for at in schedule["milestones"]]
     del schedule["steps"], schedule["epochs"]
-    settled = {key: run[key] for key in ("seed", "data", "textures", "start")}
+    settled = {key: run[key] for key in ("seed", "data", "textures", "validate", "start") if key in run}
     return {**settled, **recipe, **{f"schedule.{key}": value for key, value in schedule.items()}}
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 from lightning.pytorch import LightningModule, Trainer
-from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.callbacks import Callback, WeightAveraging
 from torch import nn
 
 from stereokit.builder import build_model
@@ -189,6 +189,17 @@ def mean_of(states, shares):
     for state, share in zip(states[1:], shares[1:], strict=True):
         total = {key: total[key] + share * (value.double() - total[key]) for key, value in state.items()}
     return total
+
+
+def test_a_plain_mean_begins_anew_where_a_longer_run_is_ahead_of_its_start(monkeypatch):
+    progress = iter([0.4, 0.5, 0.9, 0.4, 0.6])
+    average = AveragedWeights(Averaging(kind="swa", start=0.5), lambda: next(progress))
+    monkeypatch.setattr(WeightAveraging, "on_train_batch_end", lambda *_: None)
+    shares = []
+    for _ in range(5):
+        average.on_train_batch_end(*[None] * 5)
+        shares.append(average.share())
+    assert shares == [1, 1, 1 / 2, 1, 1]
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,8 @@ def test_the_warmup_rises_from_nothing_in_a_line():
         ({"schedule": 3}, "expected a table"),
         ({"optimisation": {"learning_rate": -1}}, "learning_rate must be positive"),
         ({"optimisation": {"gradient_clip": 0}}, "gradient_clip must be positive"),
+        ({"optimisation": {"betas": 0.9}}, "betas are two numbers"),
+        ({"optimisation": {"betas": [0.9, 1]}}, "betas are two numbers"),
         ({"loss": {"cross_entropy": -0.1}}, "cross_entropy is a weight from 0 up"),
         ({"averaging": {"kind": "median"}}, "'ema', 'swa' or 'none'"),
         ({"averaging": {"kind": "ema", "decay": 1}}, "decay"),

@@ -138,8 +138,81 @@ def test_a_run_that_its_minutes_ended_goes_on_with_more_of_them(tmp_path):
     assert train(TINY, tmp_path, minutes=60, resume=True, **CPU).record["pairs_seen"] == 12
 
 
+def test_a_run_that_its_steps_ended_goes_on_with_more_of_them_in_the_same_minutes(tmp_path):
+    train(with_length(TINY, steps=2), tmp_path, minutes=60, **CPU)
+    assert train(with_length(TINY, steps=3), tmp_path, minutes=60, resume=True, **CPU).record["steps"] == 3
+
+
 class Killed(BaseException):
     pass
+
+
+def test_a_run_that_is_killed_in_a_validation_repeats_it(tmp_path, monkeypatch):
+    often = {"checkpoint_every": 2, "validate_every": 2, **CPU}
+    unbroken = train(TINY, tmp_path / "unbroken", **often)
+    ends, validated = StereoTraining.on_validation_epoch_end, []
+
+    def end(self):
+        validated.append(self.trainer.global_step)
+        if validated == [2, 4]:
+            raise Killed
+        ends(self)
+
+    monkeypatch.setattr(StereoTraining, "on_validation_epoch_end", end)
+    with pytest.raises(Killed):
+        train(TINY, tmp_path / "killed", **often)
+    resumed = train(TINY, tmp_path / "killed", resume=True, **often)
+    assert validated == [2, 4, 4, 6]
+    assert resumed.record["pairs_seen"] == unbroken.record["pairs_seen"]
+    for key, value in unbroken.model.state_dict().items():
+        torch.testing.assert_close(resumed.model.state_dict()[key], value, rtol=1e-5, atol=1e-6)
+
+
+def test_a_checkpoint_that_can_not_be_written_leaves_the_one_before(tmp_path, monkeypatch):
+    save = Trainer.save_checkpoint
+
+    def full(self, path, *args):
+        if self.global_step == 4:
+            Path(path).write_bytes(b"part")
+            raise OSError(28, "No space left on device")
+        save(self, path, *args)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Trainer, "save_checkpoint", full)
+        with pytest.raises(OSError, match="No space left"):
+            train(TINY, tmp_path, checkpoint_every=2, **CPU)
+    assert "No space left" in json.loads((tmp_path / "run.json").read_text())["ended_by"]
+    assert train(TINY, tmp_path, checkpoint_every=2, resume=True, **CPU).record["pairs_seen"] == 12
+    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt"}
+
+
+def test_running_out_of_memory_is_one_line_and_the_folder_stays_free(tmp_path, monkeypatch):
+    def full(self, *_):
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(StereoTraining, "training_step", full)
+        with pytest.raises(InputError, match="tiny: a step takes more memory than there is; a smaller --batch"):
+            train(TINY, tmp_path, **CPU)
+    assert train(with_length(TINY, steps=1, batch=1), tmp_path, **CPU).record["pairs_seen"] == 1
+
+
+def test_an_interruption_stays_one(tmp_path, monkeypatch):
+    def interrupt(self, *_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(StereoTraining, "training_step", interrupt)
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        train(TINY, tmp_path, **CPU)
+    signal.signal(signal.SIGINT, handler)
+
+
+def test_validation_pairs_without_truth_that_counts_do_not_end_a_run(tmp_path):
+    recipe = replace(with_length(TINY, steps=1), loss=Loss(max_disparity=1e-3))
+    with pytest.warns(UserWarning, match="no pixel of the validation pairs has ground truth that counts"):
+        train(recipe, tmp_path, **CPU)
+    assert not (tmp_path / "best").exists()
 
 
 def test_a_run_that_is_killed_in_its_last_validation_still_has_its_end_to_come(tmp_path, monkeypatch):
@@ -164,6 +237,9 @@ def test_only_the_run_that_is_there_is_resumed(tmp_path):
         train(TINY, run, seed=1, resume=True, **CPU)
     with pytest.raises(ConfigError, match=r"schedule.batch 2, not 4"):
         train(with_length(TINY, batch=4), run, resume=True, **CPU)
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=1), tmp_path / "data", split="test")
+    with pytest.raises(ConfigError, match=r"was started with validate \[\], not"):
+        train(TINY, run, validation=[f"sceneflow/test:{tmp_path / 'data'}"], resume=True, **CPU)
     with pytest.raises(ConfigError, match="was started with start None"):
         train(TINY, run, model=build_model("coex", max_disparity=32), resume=True, **CPU)
     (tmp_path / "other").mkdir()

@@ -57,9 +57,9 @@ def crop(sample: StereoSample, *, top: int, left: int, height: int, width: int) 
     nonocc = None if sample.nonocc is None else window(sample.nonocc)
     right_nonocc = None if sample.right_nonocc is None else window(sample.right_nonocc)
     if nonocc is not None and disparity is not None:
-        nonocc &= ~(np.arange(width) - disparity < 0)
+        nonocc = nonocc & ~(np.arange(width) - disparity < 0)
     if right_nonocc is not None and right_disparity is not None:
-        right_nonocc &= ~(np.arange(width) + right_disparity > width - 1)
+        right_nonocc = right_nonocc & ~(np.arange(width) + right_disparity > width - 1)
     camera = sample.calibration
     return replace(
         sample,

@@ -9,7 +9,6 @@ from pathlib import Path
 from stereokit.data.calibration import Calibration, read_calibration
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import (
-    IMAGE_SUFFIXES,
     check_choice,
     check_number,
     first_folder,
@@ -19,7 +18,7 @@ from stereokit.data.datasets.layout import (
 from stereokit.data.datasets.middlebury import read_nonocc_mask
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_files import read_disparity
-from stereokit.data.images import read_file_bytes
+from stereokit.data.images import IMAGE_SUFFIXES, read_file_bytes
 from stereokit.errors import InputError
 from stereokit.registry import suggest
 

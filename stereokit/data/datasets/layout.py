@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry
+from stereokit.data.images import IMAGE_SUFFIXES
 from stereokit.errors import InputError
 
 __all__ = [
-    "IMAGE_SUFFIXES",
     "check_choice",
     "check_number",
     "first_folder",
@@ -18,8 +18,6 @@ __all__ = [
     "list_folder",
     "make_dataset",
 ]
-
-IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".webp", ".bmp", ".tif", ".tiff"}
 
 
 def check_choice(what: str, given: str, allowed: Sequence[str]) -> str:

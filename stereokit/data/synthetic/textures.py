@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereokit.data.datasets.layout import images_in
 from stereokit.data.images import read_image
 from stereokit.data.synthetic.patterns import TILE, draw_tiles
 from stereokit.data.synthetic.surfaces import Array
@@ -26,7 +27,7 @@ Pyramid: TypeAlias = tuple[Image, ...]
 _LEVELS = 7
 _LARGEST_PHOTOGRAPH = 1024
 _FARTHEST = 0.25  # disparity below which a ground's texture gets no smaller
-_PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".ppm", ".webp", ".bmp", ".tif", ".tiff"}
+_HELD_PHOTOGRAPHS = 64  # of up to 4 MB each, in each process
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,9 @@ def _mirrored(place: Array, size: int) -> Array:
 
 
 class TextureBank:
-    """Tiles drawn once, and photographs read once, from which scenes take crops in new colours.
+    """Tiles drawn once, and photographs, from which scenes take crops in new colours.
+
+    Of the photographs those used last are held in memory.
 
     Args:
         seed: of the tiles.
@@ -156,7 +159,7 @@ class TextureBank:
             raise ConfigError(f"plain must be at least 0, got {plain}")
         self.plain = plain
         self.tiles = _tiles(seed, tiles)
-        self.photographs: list[Pyramid] = [] if photographs is None else _read_photographs(photographs)
+        self.photographs: list[Path] = [] if photographs is None else _find_photographs(photographs)
 
     def texture(
         self,
@@ -183,7 +186,7 @@ class TextureBank:
         texels = math.exp(rng.uniform(math.log(0.4), math.log(3.0)))
         modulation = None
         if is_photograph:
-            image = self.photographs[rng.integers(len(self.photographs))]
+            image = _photograph(self.photographs[rng.integers(len(self.photographs))])
             palette = _random_tone_curves(rng, strength)
         else:
             image = self.tiles[rng.integers(len(self.tiles))]
@@ -265,14 +268,18 @@ def _pyramid(image: Image) -> Pyramid:
     return tuple(levels)
 
 
-def _read_photographs(folder: Path) -> list[Pyramid]:
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _PHOTOGRAPHS) if folder.is_dir() else []
+def _find_photographs(folder: Path) -> list[Path]:
+    paths = images_in(folder)
     if not paths:
         raise InputError(f"no images to use as textures in {str(folder)!r}; expected a folder of PNG or JPEG files")
-    return [_pyramid(_read_photograph(path)) for path in paths]
+    for path in paths:
+        # one that can't be read is found now rather than in the middle of a run
+        read_image(path)
+    return paths
 
 
-def _read_photograph(path: Path) -> Image:
+@lru_cache(maxsize=_HELD_PHOTOGRAPHS)
+def _photograph(path: Path) -> Pyramid:
     image = read_image(path)
     if image.dtype != np.uint8:
         image = np.rint(image * 255).astype(np.uint8)
@@ -281,4 +288,4 @@ def _read_photograph(path: Path) -> Image:
     if shrink < 1:
         size = max(round(width * shrink), 1), max(round(height * shrink), 1)
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(image)
+    return _pyramid(np.ascontiguousarray(image))

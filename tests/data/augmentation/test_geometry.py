@@ -58,6 +58,19 @@ def test_crop_is_the_same_window_everywhere():
     assert result.calibration.cx0 == pair.calibration.cx0 - 5
 
 
+def test_crop_leaves_the_pair_as_it_was():
+    pair = layered()
+    masks = {name: np.ones(pair.left.shape[:2], bool) for name in ("nonocc", "right_nonocc")}
+    for mask in masks.values():
+        # rows of full width are a view of the mask
+        mask.flags.writeable = False
+    whole = replace(pair, **masks, right_disparity=pair.disparity)
+    rows, columns = pair.left.shape[:2]
+    result = crop(whole, top=1, left=0, height=rows - 1, width=columns)
+    assert not result.nonocc.all()
+    assert not result.right_nonocc.all()
+
+
 def test_crops_reach_every_place():
     image = np.arange(60, dtype=np.uint8).reshape(4, 5, 3)
     pair = StereoSample("a", image, image)
