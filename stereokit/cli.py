@@ -25,6 +25,7 @@ from stereokit.inference import Predictor, output_paths
 from stereokit.model import MIN_SIZE, StereoModel
 from stereokit.optimize import keep_freed_memory
 from stereokit.precision import DTYPES
+from stereokit.pretrained import CONFIG_NAME, WEIGHTS_NAME
 from stereokit.published import NETWORKS, ConversionReport, convert_published
 from stereokit.registry import MODELS, REGISTRIES, list_components
 from stereokit.summary import model_summary
@@ -110,27 +111,14 @@ def _parser() -> argparse.ArgumentParser:
     predict.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
     predict.add_argument("--backend", default="auto", help=BACKEND_HELP)
     predict.add_argument("--precision", metavar="NAME", help=PRECISION_HELP)
-    predict.add_argument(
-        "--max-memory", metavar="SIZE", help="that a pair may take, such as 4GiB (default: what is free)"
-    )
-    predict.add_argument(
-        "--too-large",
-        choices=get_args(TooLarge),
-        default="error",
-        help="what becomes of a pair that needs more: refused, matched in tiles, or at a reduced resolution",
-    )
-    predict.add_argument(
-        "--scale",
-        type=float,
-        default=1.0,
-        help="match at this part of the resolution, such as 0.5: finds disparities twice as large (default: 1)",
-    )
+    _add_limits(predict)
     predict.add_argument("--overwrite", action="store_true", help="replace existing results")
     predict.set_defaults(run=_predict)
 
     evaluation = commands.add_parser("eval", help="count errors on data sets with ground truth")
     evaluation_command.add_arguments(evaluation)
     evaluation.add_argument("--precision", metavar="NAME", help=PRECISION_HELP)
+    _add_limits(evaluation)
     _add_published_options(evaluation)
     evaluation.set_defaults(run=lambda options: evaluation_command.run(options, _load_predictor))
 
@@ -195,14 +183,29 @@ def _add_published_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--top-k", type=int, metavar="K", help="candidates that its regression keeps (default: coex 2)")
 
 
+def _add_limits(parser: argparse.ArgumentParser) -> None:
+    """How large pairs are matched, see `Predictor`."""
+    parser.add_argument(
+        "--max-memory", metavar="SIZE", help="that a pair may take, such as 4GiB (default: what is free)"
+    )
+    parser.add_argument(
+        "--too-large",
+        choices=get_args(TooLarge),
+        help="what becomes of a pair that needs more: refused (default), matched in tiles, or at a reduced resolution",
+    )
+    parser.add_argument(
+        "--scale",
+        type=float,
+        help="match at this part of the resolution, such as 0.5: finds disparities twice as large (default: 1)",
+    )
+
+
 def _predict(options: argparse.Namespace) -> None:
     pairs = match_pairs(options.left, options.right)
     # now rather than after the first pair is matched
     check_folder(options.out)
     check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
-    predictor = _load_predictor(
-        options, max_memory=options.max_memory, too_large=options.too_large, scale=options.scale
-    )
+    predictor = _load_predictor(options)
     failed: list[str] = []
     for pair in tqdm(pairs, unit="pair", disable=len(pairs) == 1):
         try:
@@ -218,14 +221,14 @@ def _predict(options: argparse.Namespace) -> None:
         low, high = np.nanmin(result.disparity), np.nanmax(result.disparity)
         if result.invalid:
             tqdm.write(f"{pair.name}: {result.invalid} pixels have no finite disparity", file=sys.stderr)
-        if result.preparation_seconds:
+        if result.preparation_seconds >= 0.05:
             tqdm.write(f"{pair.name}: made ready for {width} x {height} px in {result.preparation_seconds:.1f} s")
         tqdm.write(
             f"{pair.name}: {width} x {height} px, disparity {low:.1f} to {high:.1f} px, {result.seconds:.2f} s "
             f"on {predictor.device}; wrote {', '.join(map(str, written))}"
         )
         if len(written) < len(output_paths(options.out, pair.name)):
-            tqdm.write(f"{pair.name}: no 16-bit PNG, which ends at 255.996 px")
+            tqdm.write(f"{pair.name}: no 16-bit PNG, which holds 0 to 255.996 px")
     if failed:
         raise InputError(f"{len(failed)} of {len(pairs)} pairs could not be matched: {', '.join(failed)}")
 
@@ -238,8 +241,9 @@ def _check_data(options: argparse.Namespace) -> None:
         raise InputError(f"{len(report.broken)} of {report.pairs} pairs are broken")
 
 
-def _load_predictor(options: argparse.Namespace, **limits: Any) -> Predictor:
-    settings = {**limits, "precision": options.precision}
+def _load_predictor(options: argparse.Namespace) -> Predictor:
+    names = ("precision", "max_memory", "too_large", "scale")
+    settings: dict[str, Any] = {name: given for name in names if (given := getattr(options, name)) is not None}
     if not is_exported(options.weights):
         return Predictor(_load_network(options), options.device, options.backend, **settings)
     if any(value is not None for value in (options.model, options.channel_order, options.top_k)):
@@ -343,7 +347,7 @@ def _info(options: argparse.Namespace) -> None:
 
 def _convert(options: argparse.Namespace) -> None:
     check_folder(options.out)
-    check_free([Path(options.out) / "config.json"], overwrite=options.overwrite)
+    check_free([Path(options.out) / name for name in (CONFIG_NAME, WEIGHTS_NAME)], overwrite=options.overwrite)
     model, report = _read_published(options, options.checkpoint, options.model)
     model.save_pretrained(options.out)
     order = (options.channel_order or "bgr").upper()

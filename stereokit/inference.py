@@ -37,7 +37,8 @@ NO_LIMITS: dict[str, Any] = {"max_memory": None, "too_large": "error"}
 LARGE = 500_000
 BYTES_PER_PIXEL = 25_000
 """A pair of more pixels than `LARGE`, or of more than fit at so many bytes each, has its need of memory estimated
-first, which takes a second for each new size. The registered networks need less at D = 192: GC-Net the most, 22,000."""
+first, which takes a second for each new size. The registered networks need less at D = 192: GC-Net the most, 22,000,
+and no more than proportionally more beyond."""
 
 # of the pair that this thread is at
 _preparation_seconds: ContextVar[float] = ContextVar("preparation_seconds", default=0.0)
@@ -51,7 +52,8 @@ class DisparityResult:
         disparity: (H, W) float32, pixels of the left image; x_right = x_left - disparity.
         confidence: (H, W) float32 in [0, 1], the probability mass behind the estimate; None if the network gives none.
         seconds: that the network took, with the transfer to and from the device.
-        preparation_seconds: that went before it into what the backend needs once, or once for a size: compiling.
+        preparation_seconds: that went before it into what is needed once, or once for a size: compiling, finding out
+            how much memory it takes.
 
     >>> result = DisparityResult(np.full((40, 60), 12.5, np.float32), confidence=None, seconds=0.1)
     >>> result.size
@@ -100,12 +102,12 @@ class DisparityResult:
     def save_all(self, folder: str | os.PathLike[str], name: str, *, overwrite: bool = False) -> list[Path]:
         """Writes the disparity in every format, and its picture, beside each other.
 
-        A disparity that KITTI's encoding can't hold, from 256 px up, is not written as PNG.
+        A disparity that KITTI's encoding can't hold, below 0 or from 256 px up, is not written as PNG.
 
         Args:
             folder: is made if need be.
             name: the files are those of `output_paths`.
-            overwrite: replace existing files.
+            overwrite: replace existing files; a PNG that is not written is removed.
 
         Returns:
             The files written.
@@ -117,10 +119,14 @@ class DisparityResult:
         check_free(paths, overwrite=overwrite)
         make_folder(folder)
         kitti, *exact, picture = paths
-        highest = np.max(self.disparity, where=np.isfinite(self.disparity), initial=0)
-        disparities = exact if highest > KITTI_MAX else [kitti, *exact]
+        known = self.disparity[np.isfinite(self.disparity)]
+        encodable = ((known >= 0) & (known <= KITTI_MAX)).all()
+        disparities = [kitti, *exact] if encodable else exact
         for path in disparities:
             self.save(path, overwrite=overwrite)
+        if not encodable:
+            # of another result
+            kitti.unlink(missing_ok=True)
         write_image(picture, self.picture(), overwrite=overwrite)
         return [*disparities, picture]
 
@@ -150,13 +156,15 @@ class Predictor:
         max_memory: bytes, or a text such as "4GiB", that matching a pair may take beside the weights; by default what
             is free on the device, looked at where a pair might need more.
         too_large: what becomes of a pair that needs more: "error" says how much and what would do, "tile" matches it
-            in overlapping tiles, "reduce" at a reduced resolution; see `stereokit.tiling`.
+            in overlapping tiles, for which a network of one's own needs an attribute `max_disparity`, "reduce" at a
+            reduced resolution; see `stereokit.tiling`.
         scale: match at this part of the resolution, such as 0.5, and enlarge the result, see `match_reduced`: it finds
             disparities up to max_disparity / scale, and less detail.
 
     Raises:
         ConfigError: the device or the backend is unknown, absent, or not for this model; limits of memory for an
-            exported file of one size alone; or a scale that is not above 0 and at most 1.
+            exported file of one size alone; tiles of a network without `max_disparity`; or a scale that is not above
+            0 and at most 1.
         CheckpointError: there is no saved network or exported file at this place, or it can't be used.
 
     >>> predict = Predictor("coex", device="cpu")
@@ -183,11 +191,11 @@ class Predictor:
             device = choose_device(device)
             model = model if isinstance(model, nn.Module) else _saved_network(model)
         self.backend = open_backend(model, device, backend, precision)
-        self._limits: dict[str, Any] = {"max_memory": max_memory, "too_large": too_large}
+        self.limits: dict[str, Any] = {"max_memory": max_memory, "too_large": too_large}
         self.scale = scale
         self._measurable = True
         self._bounded: BoundedMatcher | None = None
-        if isinstance(self.backend, TorchBackend) or self._limits != NO_LIMITS:
+        if isinstance(self.backend, TorchBackend) or self.limits != NO_LIMITS:
             self._bounded = self._matcher()
 
     @property
@@ -198,7 +206,7 @@ class Predictor:
     @property
     def whole(self) -> bool:
         """Whether pairs are matched as they are: at full resolution, and with no limit of memory asked for."""
-        return self.scale == 1 and self._limits == NO_LIMITS
+        return self.scale == 1 and self.limits == NO_LIMITS
 
     @property
     def model(self) -> nn.Module:
@@ -223,9 +231,9 @@ class Predictor:
         """
         left, right = to_pair(left, right)
         check_least_size(*left.shape[-2:])
-        _preparation_seconds.set(0.0)
-        run = self._fitting(*reduced_size((left.shape[-2], left.shape[-1]), self.scale))
         start = time.perf_counter()
+        run = self._fitting(*reduced_size((left.shape[-2], left.shape[-1]), self.scale))
+        _preparation_seconds.set(time.perf_counter() - start)
         output = run(left, right) if self.scale == 1 else match_reduced(run, left, right, scale=self.scale)
         preparation = _preparation_seconds.get()
         seconds = time.perf_counter() - start - preparation
@@ -234,14 +242,14 @@ class Predictor:
 
     def _fitting(self, height: int, width: int) -> Run:
         """What matches pairs of this size within the memory, checked here if they are large."""
-        if not self._measurable or (self._limits["max_memory"] is None and self._surely_fits(height * width)):
+        if not self._measurable or (self.limits["max_memory"] is None and self._surely_fits(height * width)):
             return self._whole
         try:
             # the network of an exported file is built for the first large pair
             self._bounded = self._bounded or self._matcher()
             plan = self._bounded.plan(height, width)
         except ConfigError:
-            if self._limits != NO_LIMITS:
+            if self.limits != NO_LIMITS:
                 raise
             # nobody asked for a limit, so what can't be measured just runs
             self._measurable = False
@@ -255,15 +263,25 @@ class Predictor:
             # what its runtime keeps from the pair before looks like taken
             return True
         available = available_memory(self.device)
-        return available is None or BYTES_PER_PIXEL * pixels <= available
+        if available is None:
+            return True
+        # without it, it may be any network
+        max_disparity = getattr(self.model, "max_disparity", None)
+        if max_disparity is None:
+            return False
+        return BYTES_PER_PIXEL * max(1, max_disparity / 192) * pixels <= available
 
     def _matcher(self) -> BoundedMatcher:
         if isinstance(self.backend, ExportedBackend):
             network = self.backend.as_module()
             return BoundedMatcher(
-                network, run=self._run, estimate=partial(self.backend.estimate_memory, network), **self._limits
+                network,
+                run=self._run,
+                estimate=partial(self.backend.estimate_memory, network),
+                device=self.device,
+                **self.limits,
             )
-        return BoundedMatcher(self.model, run=self._run, **self._limits)
+        return BoundedMatcher(self.model, run=self._run, **self.limits)
 
     def _whole(self, left: Tensor, right: Tensor) -> StereoOutput:
         height, width = left.shape[-2:]

@@ -11,7 +11,7 @@ from torch import Tensor
 from stereokit.data.images import read_image
 from stereokit.errors import InputError
 
-__all__ = ["ImageLike", "as_float", "to_image_tensor", "to_pair"]
+__all__ = ["ImageLike", "as_array", "as_float", "to_image_tensor", "to_pair"]
 
 ImageLike: TypeAlias = Union[str, "os.PathLike[str]", npt.NDArray[Any], Tensor, Any]
 """A path, an array (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), a tensor (H, W), (1, H, W), (3, H, W) or
@@ -82,6 +82,19 @@ def as_float(images: Tensor) -> Tensor:
     return images / 255 if images.dtype == torch.uint8 else images
 
 
+def as_array(values: Any) -> npt.NDArray[Any]:
+    """A numpy array of an array or of a tensor, wherever the tensor lives; floating-point tensors become float32.
+
+    >>> as_array(torch.ones(2, dtype=torch.bfloat16))
+    array([1., 1.], dtype=float32)
+    """
+    if isinstance(values, Tensor):
+        values = values.detach().cpu()
+        # numpy has no bfloat16
+        values = values.float() if values.is_floating_point() else values
+    return np.asarray(values)
+
+
 def _channels_last(tensor: Tensor, name: str) -> npt.NDArray[Any]:
     if tensor.dim() == 4 and tensor.shape[0] == 1:
         tensor = tensor[0]
@@ -89,8 +102,7 @@ def _channels_last(tensor: Tensor, name: str) -> npt.NDArray[Any]:
         tensor = tensor.permute(1, 2, 0)
     elif tensor.dim() != 2:
         raise InputError(f"{name} is a tensor of shape {tuple(tensor.shape)}; expected (3, H, W), (1, H, W) or (H, W)")
-    tensor = tensor.detach().cpu()
-    return (tensor.float() if tensor.is_floating_point() else tensor).numpy()
+    return as_array(tensor)
 
 
 def _from_pil(image: Any, name: str) -> npt.NDArray[Any]:

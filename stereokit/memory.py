@@ -1,5 +1,6 @@
 """How much memory a pass through a network takes, and how much there is."""
 
+import copy
 import ctypes
 import os
 import re
@@ -12,7 +13,6 @@ from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor, nn
-from torch.func import functional_call
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
@@ -70,15 +70,15 @@ def estimate_memory(
 
     # tensors that know their shape, type and device, and hold no data
     fake = FakeTensorMode(allow_non_fake_inputs=True)
+    weights = [*model.parameters(), *model.buffers()]
+    where = weights[0].device if weights else torch.device("cpu")
     try:
-        weights: dict[str, Tensor] = {
-            name: fake.from_tensor(tensor) for name, tensor in (*model.named_parameters(), *model.named_buffers())
-        }
-        where = next((tensor.device for tensor in weights.values()), torch.device("cpu"))
+        # a copy, for other threads may be running the network
+        twin = copy.deepcopy(model, {id(tensor): fake.from_tensor(tensor) for tensor in weights})
         # convolutions are counted as one operation, which inference mode would show in other ones
         with torch.inference_mode(False), fake, torch.no_grad(), _LiveBytes() as memory:
             left, right = (torch.empty(batch, 3, height, width, dtype=dtype, device=where) for _ in range(2))
-            functional_call(model, weights, (left, right))
+            twin(left, right)
     except Exception as error:
         # anything may go wrong in anybody's network
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
@@ -151,6 +151,9 @@ def available_memory(device: str | torch.device = "cpu") -> int | None:
     True
     """
     device = torch.device(device)
+    if device.type == "cuda" and not torch.cuda.is_available():
+        # a runtime of exported files may use what torch was not built for
+        return None
     if device.type == "cuda":
         held_unused = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
         return torch.cuda.mem_get_info(device)[0] + held_unused

@@ -19,7 +19,7 @@ from stereokit.contracts import (
     input_multiple,
     regression_levels,
 )
-from stereokit.data.atomic import make_folder
+from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.errors import ConfigError, InputError
 from stereokit.inputs import as_float
 from stereokit.pretrained import load_folder, save_folder, saved_config
@@ -207,23 +207,44 @@ class StereoModel(
             logits=logits if return_logits else None,
         )
 
-    def save_pretrained(self, save_directory: str | Path, **hub_arguments: Any) -> str | None:
+    def save_pretrained(
+        self,
+        save_directory: str | Path,
+        *,
+        push_to_hub: bool = False,
+        repo_id: str | None = None,
+        model_card_kwargs: dict[str, Any] | None = None,
+        config: Any = None,
+        **hub_arguments: Any,
+    ) -> str | None:
         """Writes the configuration and the weights into a folder, from where `from_pretrained` reads them.
 
         Args:
             save_directory: the folder; a network that is already there is replaced.
-            hub_arguments: `push_to_hub`, `repo_id`, .. of `huggingface_hub.ModelHubMixin`.
+            push_to_hub: put the network on the hub too.
+            repo_id: owner/name there; the folder's name by default.
+            model_card_kwargs: for the card, README.md, which is written where there is none.
+            config: is not used; the hub passes it on.
+            hub_arguments: of `push_to_hub`: `private`, `token`, ..
+
+        Returns:
+            The address of the commit on the hub; None where there is none.
 
         Raises:
             ConfigError: a block of the network was passed in as a module, so that its configuration can't rebuild it.
         """
-        # ahead of the mixin, which begins by deleting the configuration that is there
+        # in place of the mixin's own, which begins by deleting the configuration that is there
         saved_config(self)
         make_folder(save_directory)
-        return super().save_pretrained(save_directory, **hub_arguments)
-
-    def _save_pretrained(self, save_directory: Path) -> None:
-        save_folder(self, save_directory)
+        folder = Path(save_directory)
+        save_folder(self, folder)
+        card = folder / "README.md"
+        if not card.exists():
+            with atomic_path(card) as temporary:
+                self.generate_model_card(**(model_card_kwargs or {})).save(temporary)
+        if not push_to_hub:
+            return None
+        return self.push_to_hub(repo_id or folder.name, model_card_kwargs=model_card_kwargs, **hub_arguments)
 
     @classmethod
     def from_pretrained(cls, folder_or_id: str | Path, **hub_arguments: Any) -> "StereoModel":  # type: ignore[override]

@@ -242,7 +242,8 @@ class BoundedMatcher:
     """Runs a network within a limit of memory, which is checked before it starts.
 
     Args:
-        network: in eval mode, on its device; its memory is estimated.
+        network: in eval mode, on its device; its memory is estimated. Tiles need its `max_disparity`, the columns that
+            they share, and begin at multiples of its `multiple`, 1 if it has none.
         run: what runs it, such as its compiled form; the network itself by default. Takes images on the network's
             device.
         max_memory: bytes, or a text such as "4GiB", that a pass may take beside the weights; by default what is free
@@ -251,9 +252,10 @@ class BoundedMatcher:
             `match_tiles`; "reduce", see `match_reduced`.
         overlap: of the tiles, in pixels.
         estimate: height and width to bytes, in place of `estimate_memory` of the network.
+        device: whose free memory counts, in place of the network's.
 
     Raises:
-        ConfigError: an unknown `too_large`, or no amount of memory.
+        ConfigError: an unknown `too_large`, no amount of memory, or tiles of a network without `max_disparity`.
 
     >>> from stereokit import build_model
     >>> model = build_model("coex", max_disparity=32).eval()
@@ -271,6 +273,7 @@ class BoundedMatcher:
         too_large: TooLarge = "error",
         overlap: int = OVERLAP,
         estimate: Callable[[int, int], int] | None = None,
+        device: torch.device | None = None,
     ) -> None:
         if too_large not in get_args(TooLarge):
             raise ConfigError(f"too_large={too_large!r} is unknown; 'error', 'tile' or 'reduce' would do")
@@ -278,8 +281,15 @@ class BoundedMatcher:
         self.too_large: TooLarge = too_large
         self.overlap = overlap
         self.run: Run = network if run is None else run
-        self.device = next((tensor.device for tensor in (*network.parameters(), *network.buffers())), None)
-        self.max_disparity = int(getattr(network, "max_disparity", 0))
+        self._images_on = next((tensor.device for tensor in (*network.parameters(), *network.buffers())), None)
+        self.device = device or self._images_on
+        ceiling = getattr(network, "max_disparity", None)
+        if ceiling is None and too_large == "tile":
+            raise ConfigError(
+                f"tiles share as many columns as the largest disparity, and {type(network).__name__} has no attribute "
+                "max_disparity that tells it; set it, or 'reduce' would do"
+            )
+        self.max_disparity = None if ceiling is None else int(ceiling)
         self.multiple = int(getattr(network, "multiple", 1))
         self._estimate = partial(estimate_memory, network) if estimate is None else estimate
         self._known: dict[tuple[int, int], int] = {}
@@ -307,7 +317,7 @@ class BoundedMatcher:
                 "estimated; a smaller max_memory with 'tile' or 'reduce' would do"
             ),
         ):
-            if plan.how == "tile" and plan.tile is not None:
+            if plan.how == "tile" and plan.tile is not None and self.max_disparity is not None:
                 return match_tiles(
                     self._on_device,
                     left,
@@ -330,7 +340,8 @@ class BoundedMatcher:
         allowed = self.max_memory if self.max_memory is not None else available_memory(self.device or "cpu")
         if allowed is None:
             return MemoryPlan("whole", None, None)
-        larger = (needed for (h, w), needed in self._known.items() if height <= h and width <= w)
+        # other threads may add sizes
+        larger = (needed for (h, w), needed in list(self._known.items()) if height <= h and width <= w)
         if (bound := min(larger, default=None)) is not None and bound <= allowed:
             return MemoryPlan("whole", bound, allowed)
         needed = self._needed(height, width)
@@ -352,7 +363,7 @@ class BoundedMatcher:
         raise InputError(self._refusal(height, width, needed, allowed, tile, scale))
 
     def _on_device(self, left: Tensor, right: Tensor) -> StereoOutput:
-        device = self.device or left.device
+        device = self._images_on or left.device
         return self.run(left.to(device), right.to(device))
 
     def _needed(self, height: int, width: int) -> int:
@@ -362,15 +373,17 @@ class BoundedMatcher:
 
     def _count(self, height: int, width: int, tile: tuple[int, int]) -> int:
         rows, columns = tile_grid(
-            (height, width), tile, max_disparity=self.max_disparity, overlap=self.overlap, multiple=self.multiple
+            (height, width), tile, max_disparity=self.max_disparity or 0, overlap=self.overlap, multiple=self.multiple
         )
         return len(rows) * len(columns)
 
     def _tile(self, height: int, width: int, allowed: int) -> tuple[int, int] | None:
         """The tiles that fit and have the fewest pixels in all; None where none fits."""
+        if self.max_disparity is None:
+            return None
         pixels = height * width * allowed / self._needed(height, width)
         for _ in range(8):
-            tile = self._cheapest_tile(height, width, pixels)
+            tile = self._cheapest_tile(height, width, pixels, self.max_disparity)
             if tile is None:
                 return None
             needed = self._needed(*tile)
@@ -380,8 +393,8 @@ class BoundedMatcher:
             pixels = tile[0] * tile[1] * allowed / needed * 0.98
         return None
 
-    def _cheapest_tile(self, height: int, width: int, pixels: float) -> tuple[int, int] | None:
-        shared = (self.overlap, self.max_disparity + self.overlap)
+    def _cheapest_tile(self, height: int, width: int, pixels: float, max_disparity: int) -> tuple[int, int] | None:
+        shared = (self.overlap, max_disparity + self.overlap)
         heights, widths = (
             [(count, self._tile_side(length, count, common)) for count in range(1, MOST_TILES + 1)]
             for length, common in zip((height, width), shared, strict=True)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.errors import ConfigError, InputError
+from stereokit.inputs import as_array
 from stereokit.registry import suggest
 
 if TYPE_CHECKING:
@@ -260,7 +261,7 @@ def overlay(
     >>> overlay(image, [[10.0, np.nan]], value_range=(0, 10), colormap="bone", opacity=0.2).tolist()
     [[[131, 131, 131], [100, 100, 100]]]
     """
-    array, values = _as_array(image), _as_map(disparity, "disparity")
+    array, values = as_array(image), _as_map(disparity, "disparity")
     if array.shape != (*values.shape, 3) or (array.dtype != np.uint8 and array.dtype.kind != "f"):
         raise InputError(
             f"image has shape {array.shape} and type {array.dtype}; expected RGB, uint8 or float in [0, 1], "
@@ -324,7 +325,7 @@ def distribution_figure(
             'distribution_figure draws with matplotlib, which is not installed; pip install "stereokit[viz]"'
         ) from error
 
-    volume = _as_array(logits).astype(np.float64)
+    volume = as_array(logits).astype(np.float64)
     if volume.ndim != 3 or 0 in volume.shape:
         raise InputError(f"logits have shape {volume.shape}; expected those of one image, (D', H', W')")
     levels, rows, columns = volume.shape
@@ -335,7 +336,7 @@ def distribution_figure(
         raise InputError("probabilities are negative or do not sum to 1; expected a softmax over D'")
     if stride < 1:
         raise InputError(f"stride is {stride}; expected 1 or more full-resolution pixels per cell")
-    disparities = np.arange(levels) * stride if candidates is None else _as_array(candidates)
+    disparities = np.arange(levels) * stride if candidates is None else as_array(candidates)
     if disparities.shape not in {(levels,), volume.shape}:
         raise InputError(f"candidates have shape {disparities.shape}; expected {(levels,)} or {volume.shape}")
     maps = {"estimate": estimate, "truth": truth}
@@ -465,17 +466,8 @@ def _checked_range(value_range: tuple[float, float]) -> tuple[float, float]:
     return lo, hi
 
 
-def _as_array(values: Any) -> npt.NDArray[Any]:
-    """A numpy array of an array or of a tensor, wherever the tensor lives."""
-    if hasattr(values, "detach"):
-        values = values.detach().cpu()
-        # numpy has no bfloat16.
-        values = values.float() if values.is_floating_point() else values
-    return np.asarray(values)
-
-
 def _as_map(values: Any, name: str) -> FloatMap:
-    array = _as_array(values)
+    array = as_array(values)
     if array.ndim != 2 or 0 in array.shape or array.dtype.kind not in "fiub":
         raise InputError(
             f"{name} has shape {array.shape} and type {array.dtype}; expected one map of numbers, (H, W)"
@@ -485,7 +477,7 @@ def _as_map(values: Any, name: str) -> FloatMap:
 
 
 def _as_mask(values: Any, name: str, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    array = _as_array(values)
+    array = as_array(values)
     if array.dtype != bool or array.shape != shape:
         raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected bool, {shape}")
     return array

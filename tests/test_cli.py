@@ -231,6 +231,13 @@ def test_a_failed_conversion_leaves_no_folder(capsys: pytest.CaptureFixture[str]
     assert "it is a file" in fails(capsys, "convert", tmp_path / "text.txt", tmp_path / "text.txt")
 
 
+@pytest.mark.parametrize("name", ["config.json", "model.safetensors"])
+def test_convert_keeps_existing_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("precious")
+    assert "exists already" in fails(capsys, "convert", "weights.ckpt", tmp_path)
+    assert (tmp_path / name).read_text() == "precious"
+
+
 @needs_shared
 def test_convert_reports_what_it_dropped(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     pilot = SHARED / "golden/coex_pilot.ckpt"

@@ -55,6 +55,15 @@ def test_a_network_on_several_data_sets(capsys: pytest.CaptureFixture[str], here
     assert all(f"{value:.2f}" in said for value in epe)
 
 
+def test_large_pairs_are_matched_as_predict_does(capsys: pytest.CaptureFixture[str], here: Path, weights: str) -> None:
+    options = ("--weights", weights, "--device", "cpu", "--data", "folder:mine")
+    assert "60 x 40 pixels needs about" in fails(capsys, "eval", *options, "--max-memory", "1MB")
+    code, _, _ = run(capsys, "eval", *options, "--scale", 0.9, "--max-memory", "1GB", "--too-large", "tile")
+    assert code == 0
+    record = json.loads((here / "evaluation/evaluation.json").read_text())
+    assert record["model"]["limits"] == {"scale": 0.9, "max_memory": "1GB", "too_large": "tile"}
+
+
 def test_the_semi_global_matcher_goes_through_the_same_door(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     arguments = ("eval", "--data", "folder:mine", "--overwrite", "--search-range", 32)
     metrics = {}
@@ -123,6 +132,8 @@ def test_nothing_is_overwritten_or_half_done(capsys: pytest.CaptureFixture[str],
         (("--model", "psmnet"), "no weights for 'psmnet'"),
         (("--model", "sgbm", "--weights", "x"), "takes no --weights"),
         (("--model", "sgbm", "--channel-order", "rgb"), "takes no --channel-order"),
+        (("--model", "sgbm", "--too-large", "tile"), "takes no --too-large"),
+        (("--model", "sgbm", "--scale", "0.5"), "takes no --scale"),
         (("--model", "sgbm", "--device", "cuda"), "leave out --device"),
         (("--model", "sgbm", "--batch", "2"), "one pair at a time"),
         (("--model", "sgbm", "--limit", "0"), "limit is 0"),

@@ -56,6 +56,25 @@ def test_the_estimate_does_not_hang_on_the_mode() -> None:
         assert estimate_memory(build_model("coex", max_disparity=64).eval(), 128, 256) == expected
 
 
+def test_other_threads_may_run_the_network_while_it_is_estimated() -> None:
+    seen = []
+
+    class Watching(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.convolution = nn.Conv2d(3, 1, 3, padding=1)
+
+        def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
+            seen.append((type(self.convolution.weight), type(network.convolution.weight)))
+            return StereoOutput(self.convolution(left.float())[:, 0])
+
+    network = Watching()
+    estimate_memory(network, 40, 50)
+    [(estimated, own)] = seen
+    assert estimated is not nn.Parameter
+    assert own is nn.Parameter
+
+
 def test_a_network_that_reads_values_is_refused() -> None:
     class Curious(nn.Module):
         def forward(self, left: Tensor, right: Tensor) -> StereoOutput:

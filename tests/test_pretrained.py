@@ -1,6 +1,7 @@
 import json
 import re
 import shutil
+from types import SimpleNamespace
 
 import huggingface_hub
 import pytest
@@ -13,6 +14,7 @@ from torch.testing import assert_close
 from stereokit import (
     CheckpointError,
     ConfigError,
+    InputError,
     Predictor,
     StereoKitError,
     StereoModel,
@@ -108,6 +110,39 @@ def test_foreign_blocks_are_refused_and_what_was_there_stays(copy):
     ):
         model.save_pretrained(copy)
     assert {path.name: path.read_bytes() for path in copy.iterdir()} == before
+
+
+def test_a_disk_that_is_full_leaves_what_was_there(copy, monkeypatch):
+    before = {path.name: path.read_bytes() for path in copy.iterdir()}
+
+    def full(tensors):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("stereokit.pretrained.save", full)
+    with pytest.raises(InputError, match="No space left"):
+        small_coex().save_pretrained(copy)
+    assert {path.name: path.read_bytes() for path in copy.iterdir()} == before
+
+
+def test_the_hub_gets_the_three_files(tmp_path, monkeypatch):
+    sent = {}
+
+    class Hub:
+        def __init__(self, **_):
+            pass
+
+        def create_repo(self, repo_id, **_):
+            return SimpleNamespace(repo_id=repo_id)
+
+        def upload_folder(self, *, repo_id, folder_path, **_):
+            sent.update({path.name: path.stat().st_size for path in folder_path.iterdir()})
+            return f"https://hub/{repo_id}"
+
+    monkeypatch.setattr("huggingface_hub.hub_mixin.HfApi", Hub)
+    model = small_coex()
+    assert model.save_pretrained(tmp_path / "mine", push_to_hub=True, private=True) == "https://hub/mine"
+    assert sent == {path.name: path.stat().st_size for path in (tmp_path / "mine").iterdir()}
+    assert model.push_to_hub("owner/name") == "https://hub/owner/name"
 
 
 def test_networks_made_by_hand_are_refused(tmp_path):

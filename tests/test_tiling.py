@@ -256,6 +256,14 @@ def test_the_memory_of_a_larger_pair_is_a_bound() -> None:
     assert asked == [(100, 200), (100, 201)]
 
 
+def test_tiles_are_not_offered_where_nobody_knows_what_they_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(Small, "max_disparity")
+    with pytest.raises(InputError, match="needs about") as refused:
+        bounded("40MB")[0](*PAIR)
+    assert "tile" not in str(refused.value)
+    assert "too_large='reduce'" in str(refused.value)
+
+
 def test_running_out_of_memory_all_the_same_is_one_line() -> None:
     def full(left: Tensor, right: Tensor) -> StereoOutput:
         raise torch.OutOfMemoryError("CUDA out of memory")
@@ -278,6 +286,9 @@ def test_what_the_process_keeps_of_freed_tensors_is_handed_back_where_it_is_need
 def test_what_is_asked_for_is_checked() -> None:
     with pytest.raises(ConfigError, match="'error', 'tile' or 'reduce'"):
         bounded("1GB", "tiles")
+    nameless = nn.Conv2d(3, 1, 1)
+    with pytest.raises(ConfigError, match="Conv2d has no attribute max_disparity"):
+        BoundedMatcher(nameless, too_large="tile")
     with pytest.raises(ConfigError, match="no amount of memory"):
         bounded("lots")
 

@@ -80,7 +80,7 @@ class ExportedBackend(ABC):
         # the random weights are nobody's, and so is their draw
         with torch.random.fork_rng(devices=[]):
             network = build_model(dict(self.metadata.network))
-        return network.to("cuda" if self.device.type == "cuda" else "cpu").eval()
+        return network.eval()
 
     def estimate_memory(self, network: nn.Module, height: int, width: int) -> int:
         """The memory in bytes that a pair takes at most, from what PyTorch takes for the `network` of `as_module`."""

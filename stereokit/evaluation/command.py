@@ -133,7 +133,7 @@ def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
 def _matcher(options: argparse.Namespace, load_predictor: LoadPredictor) -> Matcher:
     name = options.model or "coex"
     if name in SGBM_VARIANTS or ":" in name:
-        _refuse(name, options, "weights", "channel_order", "top_k", "precision")
+        _refuse(name, options, "weights", "channel_order", "top_k", "precision", "max_memory", "too_large", "scale")
         if options.device not in ("auto", "cpu"):
             raise ConfigError(f"--model {name} does not run on a device of torch; leave out --device {options.device}")
         if options.backend != "auto":

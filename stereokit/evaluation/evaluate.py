@@ -15,6 +15,7 @@ from stereokit.data.disparity_arrays import Disparity
 from stereokit.errors import ConfigError, InputError, StereoKitError
 from stereokit.evaluation.matcher import BatchMatcher, Matcher, describe_matcher
 from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
+from stereokit.inputs import as_array
 from stereokit.metrics import StereoMetrics
 from stereokit.provenance import machine, versions
 
@@ -42,7 +43,8 @@ def evaluate(
     """Matches every pair of some data sets and counts its errors.
 
     The time of a pair runs from images in memory to disparity in memory, after the device has finished what it was
-    doing. Reading files and counting errors are not in it.
+    doing. Reading files and counting errors are not in it, nor is what the matcher names as its `preparation_seconds`,
+    if it has this attribute: what was needed once, or once for a size of images, such as compiling.
 
     Args:
         matcher: any callable (left, right) -> disparity, see `Matcher`; `NetworkMatcher` for a network.
@@ -166,19 +168,11 @@ def _match(matcher: Matcher, samples: Sequence[StereoSample]) -> tuple[list[Disp
             f"pair {samples[0].name!r}: the matcher failed with {type(error).__name__}: {error}"
         ) from error
     # A tensor on a device counts when it has arrived in memory.
-    arrays = [_to_array(prediction) for prediction in given]
-    seconds = synchronised_clock() - start
+    arrays = [as_array(prediction) for prediction in given]
+    seconds = synchronised_clock() - start - getattr(matcher, "preparation_seconds", 0.0)
     if len(arrays) != len(samples):
         raise InputError(f"the matcher gave {len(arrays)} maps for {len(samples)} pairs; expected one for each")
     return [_checked(array, sample) for array, sample in zip(arrays, samples, strict=True)], seconds
-
-
-def _to_array(prediction: Any) -> Any:
-    if isinstance(prediction, torch.Tensor):
-        prediction = prediction.detach().cpu()
-        # numpy has no bfloat16
-        return (prediction.float() if prediction.is_floating_point() else prediction).numpy()
-    return np.asarray(prediction)
 
 
 def _checked(prediction: Any, sample: StereoSample) -> Disparity:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy.typing as npt
@@ -14,8 +15,7 @@ from stereokit.inputs import to_pair
 from stereokit.memory import running_out_as
 from stereokit.pretrained import WEIGHTS_NAME
 from stereokit.provenance import file_sha256, state_sha256
-from stereokit.registry import WEIGHTS
-from stereokit.weights import weights_folder
+from stereokit.weights import named_weights, weights_folder
 
 __all__ = ["BatchMatcher", "Image", "Matcher", "NetworkMatcher", "describe_matcher"]
 
@@ -54,9 +54,13 @@ class NetworkMatcher:
     [(40, 50), (40, 50), (40, 50)]
     """
 
+    preparation_seconds: float
+    """That the last call took for what is needed once, or once for a size; see `DisparityResult`."""
+
     def __init__(self, predictor: Predictor, *, weights: str | os.PathLike[str] | None = None) -> None:
         self.predictor = predictor
         self.weights = weights
+        self.preparation_seconds = 0.0
 
     def __call__(self, left: Image, right: Image) -> Disparity:
         """Matches one pair."""
@@ -69,7 +73,9 @@ class NetworkMatcher:
             InputError: images that can't be used, or too many of them for the device's memory.
         """
         if len(lefts) == 1 or not self.predictor.whole:
-            return [self.predictor(left, right).disparity for left, right in zip(lefts, rights, strict=True)]
+            results = [self.predictor(left, right) for left, right in zip(lefts, rights, strict=True)]
+            self.preparation_seconds = sum(result.preparation_seconds for result in results)
+            return [result.disparity for result in results]
         pairs = [to_pair(left, right) for left, right in zip(lefts, rights, strict=True)]
         left, right = (torch.cat(views) for views in zip(*pairs, strict=True))
         height, width = left.shape[-2:]
@@ -77,7 +83,7 @@ class NetworkMatcher:
             f"{len(pairs)} pairs of {width} x {height} pixels at once do not fit into the memory of "
             f"{self.predictor.device}; choose a smaller --batch, or --device cpu"
         ):
-            self.predictor.backend.prepare(left, right)
+            self.preparation_seconds = self.predictor.backend.prepare(left, right)
             return list(self.predictor.backend(left, right).disparity)
 
     def describe(self) -> dict[str, Any]:
@@ -90,14 +96,20 @@ class NetworkMatcher:
             "precision": backend.precision,
             **backend.describe(),
         }
+        if not self.predictor.whole:
+            parts["limits"] = {"scale": self.predictor.scale, **self.predictor.limits}
         if isinstance(backend, TorchBackend):
             parts["weights_sha256"] = state_sha256(backend.network.state_dict())
         if self.weights is not None:
             path = os.fspath(self.weights)
             parts["weights"] = path
-            folder = weights_folder(path) if path in WEIGHTS else path
-            file = os.path.join(folder, WEIGHTS_NAME) if os.path.isdir(folder) else folder
-            parts["weights_file_sha256"] = file_sha256(file)
+            name = named_weights(path)
+            place = Path(path if name is None else weights_folder(name))
+            if place.suffix == ".xml":
+                # OpenVINO's graph, whose weights lie beside it
+                parts["graph_file_sha256"] = file_sha256(place)
+                place = place.with_suffix(".bin")
+            parts["weights_file_sha256"] = file_sha256(place / WEIGHTS_NAME if place.is_dir() else place)
         return parts
 
 

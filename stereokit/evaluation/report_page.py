@@ -11,6 +11,7 @@ from typing import Any
 from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
 from stereokit.evaluation.tables import NOTHING, Table, dataset_table, notes, pair_table, share
 from stereokit.viz import KITTI_ERROR_COLORS, NO_PREDICTION_COLOR
+from stereokit.wording import counted
 
 __all__ = ["Card", "Figure", "page"]
 
@@ -142,7 +143,7 @@ def page(evaluation: Evaluation, rows: Mapping[str, Sequence[PairResult]], cards
     weights = [f"weights {Path(model['weights']).name}"] if "weights" in model else []
     facts = [
         *weights,
-        _count(sum(len(result.pairs) for result in evaluation.datasets)),
+        counted(sum(len(result.pairs) for result in evaluation.datasets), "pair"),
         f"{device}: {processor}" if device else processor,
         evaluation.started,
         f"stereokit {evaluation.versions['stereokit']}",
@@ -165,13 +166,12 @@ def _section(
     number: int, result: DatasetResult, rows: Sequence[PairResult], cards: Sequence[Card], taus: Sequence[float]
 ) -> str:
     anchors = {card.result.name: f"pair-{number}-{rank}" for rank, card in enumerate(cards, 1)}
+    pairs = counted(len(result.pairs), "pair")
     remarks = "".join(f"<li>{escape(line)}</li>" for line in notes(result))
     shown = "" if len(cards) == len(rows) else f"Pictures of the worst {len(cards)} of {len(rows)}."
     return _SECTION.substitute(
         name=escape(result.name),
-        facts=escape(
-            f"split {result.split} · {_count(len(result.pairs))} · median {result.median_seconds:.3f} s per pair"
-        ),
+        facts=escape(f"split {result.split} · {pairs} · median {result.median_seconds:.3f} s per pair"),
         table=_table(dataset_table(result, taus)),
         notes=f'<ul class="notes">{remarks}</ul>' if remarks else "",
         shown=escape(shown),
@@ -235,7 +235,3 @@ def _legend() -> str:
         f'<span><i style="background: rgb{tuple(color)}"></i>{escape(label)}</span>' for color, label in entries
     )
     return f'<div class="legend"><span>Error in px, yellow to red for outliers of D1:</span>{swatches}</div>'
-
-
-def _count(pairs: int) -> str:
-    return f"{pairs} pair{'s' if pairs != 1 else ''}"

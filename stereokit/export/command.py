@@ -47,7 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--calibration-pairs", type=int, default=32, metavar="N", help="take at most N of them (default: %(default)s)"
     )
-    parser.add_argument("--check", nargs="+", metavar="PAIRS", help="pairs to compare with PyTorch on, named likewise")
+    parser.add_argument(
+        "--check",
+        nargs="+",
+        metavar="PAIRS",
+        help=f"pairs to compare with PyTorch on, named likewise; {HELD_OUT} of them at most, spread evenly",
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from stereokit.backends.metadata import ExportMetadata
 from stereokit.export.checking import Difference
+from stereokit.wording import counted
 
 __all__ = ["ExportReport"]
 
@@ -38,7 +39,7 @@ class ExportReport:
         lines = [f"wrote {self.path}: {of}, {self.metadata.precision}{opset}"]
         if self.calibrated_on is not None:
             few = "; 20 to 300 are usual" if self.calibrated_on < FEW else ""
-            lines.append(f"calibrated on {self.calibrated_on} pair{'s' * (self.calibrated_on != 1)}{few}")
+            lines.append(f"calibrated on {counted(self.calibrated_on, 'pair')}{few}")
         if self.precision != self.metadata.precision:
             lines.append(f"this machine has no {self.metadata.precision}; compared with PyTorch in {self.precision}:")
         else:

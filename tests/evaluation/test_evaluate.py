@@ -1,5 +1,7 @@
+import itertools
 import json
 import math
+import sys
 import time
 
 import cv2
@@ -173,6 +175,14 @@ def test_the_clock_excludes_the_warm_up_and_shares_a_batch(three):
     assert 0.05 <= result.median_seconds < 0.14
 
 
+def test_what_is_needed_once_is_not_on_the_clock(three, monkeypatch):
+    now = itertools.count(step=3.0)
+    monkeypatch.setattr(sys.modules[evaluate.__module__], "synchronised_clock", lambda: next(now))
+    match = constant(1)
+    match.preparation_seconds = 2.0
+    assert evaluate(match, [three]).datasets[0].median_seconds == 1
+
+
 def test_the_clock_waits_for_the_device(three, monkeypatch):
     calls = []
     monkeypatch.setattr(torch.accelerator, "is_available", lambda: True)
@@ -203,4 +213,4 @@ def test_the_record_tells_how_to_repeat(three, tmp_path):
     [dataset] = record["datasets"]
     assert (dataset["name"], dataset["kind"], dataset["root"]) == (three, "folder", str(tmp_path))
     assert dataset["pairs"][0]["metrics"]["epe"] is None
-    assert "docs" not in evaluation.record()["datasets"][0]
+    assert len(dataset["pairs"]) == dataset["available"] == 3

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from stereokit import StereoModel, StereoOutput, build_model
+from stereokit import StereoModel, StereoOutput, build_model, list_weights
 from stereokit.errors import InputError
 from stereokit.evaluation import BatchMatcher, NetworkMatcher, SemiGlobalMatcher, describe_matcher
 from stereokit.inference import Predictor
@@ -44,6 +44,33 @@ def test_a_network_is_described_by_its_configuration_and_weights(predictor, tmp_
     with torch.no_grad():
         next(loaded.predictor.model.parameters()).view(-1)[0] += 1
     assert loaded.describe()["weights_sha256"] != parts["weights_sha256"]
+
+
+def test_openvino_files_are_named_by_their_weights_too(predictor, tmp_path):
+    for name in ("net.xml", "net.bin"):
+        (tmp_path / name).write_text(name)
+    parts = NetworkMatcher(predictor, weights=tmp_path / "net.xml").describe()
+    assert parts["graph_file_sha256"] == hashlib.sha256(b"net.xml").hexdigest()
+    assert parts["weights_file_sha256"] == hashlib.sha256(b"net.bin").hexdigest()
+
+
+def test_what_lies_on_disk_goes_before_the_librarys_weights(predictor, tmp_path, monkeypatch):
+    [name, *_] = list_weights()
+    monkeypatch.chdir(tmp_path)
+    predictor.model.save_pretrained(name)
+    parts = NetworkMatcher(predictor, weights=name).describe()
+    own = (tmp_path / name / "model.safetensors").read_bytes()
+    assert parts["weights_file_sha256"] == hashlib.sha256(own).hexdigest()
+
+
+def test_limits_are_recorded_and_preparation_is_timed_apart():
+    images = np.zeros((1, 40, 50, 3), np.uint8)
+    matcher = NetworkMatcher(Predictor(build_model("coex", max_disparity=32), "cpu", scale=0.8))
+    matcher.match_batch(images, images)
+    first = matcher.preparation_seconds
+    matcher.match_batch(images, images)
+    assert first > matcher.preparation_seconds >= 0
+    assert matcher.describe()["limits"] == {"scale": 0.8, "max_memory": None, "too_large": "error"}
 
 
 class Plain(nn.Module):
