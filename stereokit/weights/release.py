@@ -23,7 +23,13 @@ __all__ = ["main", "release"]
 
 
 def release(
-    network: str | Path, name: str, out: str | Path, *, results: Mapping[str, Any], licence: str = "Apache-2.0"
+    network: str | Path,
+    name: str,
+    out: str | Path,
+    *,
+    results: Mapping[str, Any],
+    mean_with: str | None = None,
+    licence: str = "Apache-2.0",
 ) -> Manifest:
     """Writes `model.safetensors` in float16, and `manifest.json`.
 
@@ -32,13 +38,17 @@ def release(
         name: NETWORK.TAG.
         out: the folder, which must be new.
         results: measured errors, with the command that measures them.
+        mean_with: weights of the same network, such as those that the training began from: what is written is the mean
+            of both.
         licence: of the weights, as an SPDX identifier.
 
     Raises:
         CheckpointError: there is no trained network in the folder.
-        ConfigError: a name that is not of this network, weights that float16 can't hold, or a training that began from
-            weights that are not at hand.
+        ConfigError: a name that is not of this network, weights that float16 can't hold, a training that began from
+            weights that are not at hand, or a mean with weights of another network.
         InputError: the files are there already, or can't be written.
+
+    Source of the mean: Wortsman et al., "Model soups", ICML 2022.
     """
     model = StereoModel.from_pretrained(network)
     record = Path(network) / "training.json"
@@ -49,7 +59,16 @@ def release(
     kind = model.config["name"]
     if not name.startswith(f"{kind}.") or not name.removeprefix(f"{kind}."):
         raise ConfigError(f"weights of a {kind} are named {kind}.TAG, not {name!r}")
-    state = {key: value.half() if value.is_floating_point() else value for key, value in model.state_dict().items()}
+    weights = model.state_dict()
+    if mean_with is not None:
+        other = load_weights(mean_with)
+        if other.config != model.config:
+            raise ConfigError(f"{mean_with!r} are not of the same network; their mean with its weights means nothing")
+        for key, value in other.state_dict().items():
+            if value.is_floating_point():
+                weights[key] = (weights[key] + value) / 2
+        training["mean_with"] = {"name": mean_with, "sha256": read_manifest(mean_with)["sha256"]}
+    state = {key: value.half() if value.is_floating_point() else value for key, value in weights.items()}
     too_large = [key for key, value in state.items() if not value.isfinite().all()]
     if too_large:
         raise ConfigError(f"float16 can't hold {', '.join(too_large)}")
@@ -95,11 +114,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", help="NETWORK.TAG")
     parser.add_argument("--out", required=True, help="new folder")
     parser.add_argument("--results", required=True, help="JSON file of measured errors")
+    parser.add_argument("--mean-with", metavar="NAME", help="write the mean of the network's weights and these")
     parser.add_argument("--licence", default="Apache-2.0", help="(default: %(default)s)")
     options = parser.parse_args(arguments)
     try:
         results = json.loads(Path(options.results).read_text(encoding="utf-8"))
-        manifest = release(options.network, options.name, options.out, results=results, licence=options.licence)
+        manifest = release(
+            options.network,
+            options.name,
+            options.out,
+            results=results,
+            mean_with=options.mean_with,
+            licence=options.licence,
+        )
     except (OSError, ValueError, StereoKitError) as error:
         print(f"release: {error}", file=sys.stderr)
         return 2

@@ -170,6 +170,22 @@ def test_a_release_tells_what_its_training_began_with(registered, tmp_path):
         release(tmp_path / "network", "coex.other", tmp_path / "other", results={})
 
 
+def test_a_release_may_be_the_mean_with_other_weights(registered, tmp_path):
+    torch.manual_seed(1)
+    network = build_model("coex", max_disparity=64, top_k=3)
+    network.save_pretrained(tmp_path / "network")
+    (tmp_path / "network" / "training.json").write_text(json.dumps({"seed": 1}))
+    manifest = release(tmp_path / "network", "coex.mean", tmp_path / "mean", results={}, mean_with="coex.mine")
+    assert manifest["training"]["mean_with"] == {"name": "coex.mine", "sha256": read_manifest("coex.mine")["sha256"]}
+    mean, other = load_file(tmp_path / "mean" / "model.safetensors"), load_weights("coex.mine").state_dict()
+    for key, value in network.state_dict().items():
+        if value.is_floating_point():
+            torch.testing.assert_close(mean[key].float(), (value + other[key]) / 2, rtol=1e-3, atol=1e-6)
+    build_model("coex", max_disparity=32, top_k=3).save_pretrained(tmp_path / "network")
+    with pytest.raises(ConfigError, match=r"'coex\.mine' are not of the same network"):
+        release(tmp_path / "network", "coex.mean", tmp_path / "other", results={}, mean_with="coex.mine")
+
+
 def test_releases_that_can_not_be(mine, tmp_path, capsys):
     with pytest.raises(ConfigError, match=r"named coex\.TAG, not 'psmnet.mine'"):
         release(mine / "network", "psmnet.mine", tmp_path / "a", results={})
