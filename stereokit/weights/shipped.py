@@ -31,7 +31,7 @@ __all__ = [
 
 MANIFEST_NAME = "manifest.json"
 
-DEFAULTS = {"coex": "coex.synthetic_v5"}
+DEFAULTS = {"coex": "coex.synthetic_v6"}
 """What `pretrained=True` stands for, by network."""
 
 
@@ -56,10 +56,10 @@ class Manifest(TypedDict):
     """Measured errors, with the command that measures them."""
 
 
-@WEIGHTS.register("coex.synthetic_v5")
-def coex_synthetic_v5() -> Path:
+@WEIGHTS.register("coex.synthetic_v6")
+def coex_synthetic_v6() -> Path:
     """CoEx, trained on scenes that this library renders and on nothing else."""
-    return Path(__file__).parent / "coex.synthetic_v5"
+    return Path(__file__).parent / "coex.synthetic_v6"
 
 
 def list_weights(pattern: str = "*") -> list[str]:
@@ -69,7 +69,7 @@ def list_weights(pattern: str = "*") -> list[str]:
         pattern: shell-style wildcard.
 
     >>> list_weights("coex.*")
-    ['coex.synthetic_v5']
+    ['coex.synthetic_v6']
     """
     return WEIGHTS.names(pattern)
 
@@ -81,7 +81,7 @@ def default_weights(network: str) -> str:
         ConfigError: there are none for this network, or several of other packages.
 
     >>> default_weights("coex")
-    'coex.synthetic_v5'
+    'coex.synthetic_v6'
     """
     if network in DEFAULTS:
         return DEFAULTS[network]
@@ -102,7 +102,7 @@ def named_weights(name: str) -> str | None:
         ConfigError: a network without weights, see `default_weights`.
 
     >>> named_weights("coex"), named_weights("runs/mine")
-    ('coex.synthetic_v5', None)
+    ('coex.synthetic_v6', None)
     """
     if os.path.exists(name):
         return None
@@ -115,7 +115,7 @@ def suggest_weights(name: str) -> str:
     """The end of an error message about a name that `named_weights` does not know.
 
     >>> suggest_weights("coex.synthetic_v1")
-    "did you mean 'coex.synthetic_v5'? Known: coex, coex.synthetic_v5"
+    "did you mean 'coex.synthetic_v6'? Known: coex, coex.synthetic_v6"
     """
     networks = [network for network in MODELS.names() if network in DEFAULTS or len(list_weights(f"{network}.*")) == 1]
     return suggest(name, [*networks, *list_weights()])
@@ -139,7 +139,7 @@ def read_manifest(name: str) -> Manifest:
         ConfigError: there are none of this name.
         CheckpointError: the manifest is missing or damaged.
 
-    >>> read_manifest("coex.synthetic_v5")["licence"]
+    >>> read_manifest("coex.synthetic_v6")["licence"]
     'Apache-2.0'
     """
     path = weights_folder(name) / MANIFEST_NAME
@@ -164,7 +164,7 @@ def load_weights(name: str, **overrides: Any) -> StereoModel:
         ConfigError: there are no weights of this name, or an override that can't be.
         CheckpointError: the file is missing or damaged, or does not fit the network.
 
-    >>> load_weights("coex.synthetic_v5", top_k=3).config["regression"]["k"]
+    >>> load_weights("coex.synthetic_v6", top_k=3).config["regression"]["k"]
     3
     """
     manifest = read_manifest(name)
