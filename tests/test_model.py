@@ -147,10 +147,10 @@ def test_a_few_steps_of_training_lower_the_loss(name):
 @every_model
 @pytest.mark.parametrize("training", [False, True])
 def test_bfloat16_autocast_stays_finite(name, training):
-    model = build_model(name, max_disparity=32).train(training)
+    model = build_model(name, max_disparity=64).train(training)
     with torch.autocast("cpu", torch.bfloat16):
-        # where a map is a single pixel, a batch of one has no statistics to train with
-        output = model(*pair(32, 64 if training else 32))
+        # of smaller volumes, oneDNN takes the gradient of strided convolutions from memory that nobody wrote to
+        output = model(*pair(64, 64))
         disparities = (output.disparity, *output.auxiliary)
         assert all(d.isfinite().all() and d.dtype == torch.float32 for d in disparities)
     sum(d.mean() for d in disparities).backward()
