@@ -152,7 +152,7 @@ def test_bfloat16_autocast_stays_finite(name, training):
         output = model(*pair(64, 64))
         disparities = (output.disparity, *output.auxiliary)
         assert all(d.isfinite().all() and d.dtype == torch.float32 for d in disparities)
-    # the gradients are oneDNN's on a CPU, which in bfloat16 takes some of small volumes from memory that nobody wrote to
+    # not the gradients: of small volumes, oneDNN takes some from memory that nobody wrote to
 
 
 def assert_agrees(actual, expected):
