@@ -210,7 +210,7 @@ def list_recipes() -> list[str]:
     """The recipes that come with the library.
 
     >>> list_recipes()
-    ['kitti-finetune', 'psmnet-kitti', 'psmnet-sceneflow', 'sceneflow', 'synthetic']
+    ['kitti-finetune', 'psmnet-kitti', 'psmnet-sceneflow', 'sceneflow', 'synthetic', 'synthetic-finetune']
     """
     return sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml"))
 
