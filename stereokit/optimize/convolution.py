@@ -8,11 +8,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stereokit.optimize.training import StridedDepthwise
+from stereokit.optimize.training import SmallConv3d, SmallConvTranspose3d, StridedDepthwise
 
 __all__ = ["Convolution", "FusedConvolution", "fold_batch_norm", "fusable_activation", "is_plain_convolution"]
 
 Convolution: TypeAlias = nn.Conv2d | nn.Conv3d | nn.ConvTranspose2d | nn.ConvTranspose3d
+
+# those of training compute the same
+PLAIN = (nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d, nn.ConvTranspose3d)
+OF_TRAINING = (StridedDepthwise, SmallConv3d, SmallConvTranspose3d)
 
 # fewer output channels than this leave most of a vector register empty
 NARROW = 10
@@ -61,7 +65,8 @@ def fusable_activation(module: nn.Module) -> Activation | None:
 def is_plain_convolution(module: nn.Module) -> bool:
     """Whether a module is one of PyTorch's convolutions as it comes: no subclass, hooks or other padding than zeros."""
     return (
-        type(module) in (nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d, nn.ConvTranspose3d, StridedDepthwise)
+        isinstance(module, PLAIN)
+        and type(module) in PLAIN + OF_TRAINING
         and module.padding_mode == "zeros"
         and not isinstance(module.padding, str)
         # replaced on the instance
@@ -268,7 +273,7 @@ def is_narrow_doubling(conv: Convolution) -> bool:
 def is_narrow_3d(conv: Convolution) -> bool:
     """Whether a 3D convolution gives one channel and keeps the depth."""
     return (
-        type(conv) is nn.Conv3d
+        isinstance(conv, nn.Conv3d)
         and conv.out_channels == 1
         and conv.groups == 1
         and conv.stride[0] == conv.dilation[0] == 1

@@ -1,17 +1,35 @@
 """Memory formats and types for training."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
 
-__all__ = ["StridedDepthwise", "prepare_for_training"]
+__all__ = ["ApartFromAutocast", "SmallConv3d", "SmallConvTranspose3d", "StridedDepthwise", "prepare_for_training"]
 
 Network = TypeVar("Network", bound=nn.Module)
 
 
-class StridedDepthwise(nn.Conv2d):
-    """A depthwise convolution with a stride that a CPU's autocast leaves in the type of its weights, float32 as a rule.
+class ApartFromAutocast(nn.Module):
+    """A convolution that a CPU's autocast leaves in the type of its weights, float32 as a rule, where `stays_out`."""
+
+    weight: Tensor
+
+    def stays_out(self, x: Tensor) -> bool:
+        """Whether the convolution of x is one that autocast is to leave alone."""
+        raise NotImplementedError
+
+    def forward(self, x: Tensor, *args: Any) -> Tensor:
+        """The convolution of x, in the type that autocast would give it."""
+        if x.device.type != "cpu" or not torch.is_autocast_enabled("cpu") or not self.stays_out(x):
+            return super().forward(x, *args)
+        with torch.autocast("cpu", enabled=False):
+            y = super().forward(x.to(self.weight.dtype), *args)
+        return y.to(torch.get_autocast_dtype("cpu"))
+
+
+class StridedDepthwise(ApartFromAutocast, nn.Conv2d):
+    """A depthwise convolution with a stride, which stays out of a CPU's autocast.
 
     oneDNN has no fast kernel for the gradient of its input in bfloat16, only one that takes ten times as long.
 
@@ -21,20 +39,44 @@ class StridedDepthwise(nn.Conv2d):
     torch.bfloat16
     """
 
-    def forward(self, x: Tensor) -> Tensor:
-        """The convolution of x."""
-        if x.device.type != "cpu" or not torch.is_autocast_enabled("cpu"):
-            return super().forward(x)
-        with torch.autocast("cpu", enabled=False):
-            y = super().forward(x.to(self.weight.dtype))
-        return y.to(torch.get_autocast_dtype("cpu"))
+    def stays_out(self, x: Tensor) -> bool:
+        """Always."""
+        return True
+
+
+class _SmallVolume(ApartFromAutocast):
+    kernel_size: tuple[int, ...]
+
+    def stays_out(self, x: Tensor) -> bool:
+        """Where x is smaller than the kernel in depth, height or width."""
+        return any(size < kernel for size, kernel in zip(x.shape[-3:], self.kernel_size, strict=True))
+
+
+class SmallConv3d(_SmallVolume, nn.Conv3d):
+    """A 3D convolution that keeps volumes smaller than its kernel out of a CPU's autocast.
+
+    oneDNN takes the gradient of their weights in bfloat16 in part from memory that nobody wrote to, or writes beyond
+    its own (seen with PyTorch 2.15 on AVX-512, for kernels of 3 to 5).
+
+    >>> with torch.autocast("cpu", torch.bfloat16):
+    ...     SmallConv3d(8, 8, 3, padding=1)(torch.rand(1, 8, 2, 6, 6)).dtype
+    torch.bfloat16
+    """
+
+
+class SmallConvTranspose3d(_SmallVolume, nn.ConvTranspose3d):
+    """A transposed 3D convolution that does as `SmallConv3d`."""
+
+
+_SUBSTITUTES = {nn.Conv3d: SmallConv3d, nn.ConvTranspose3d: SmallConvTranspose3d}
 
 
 def prepare_for_training(model: Network) -> Network:
     """Puts the weights of 3D, of depthwise and of 1 x 1 convolutions into channels-last memory formats.
 
     Their values, names and gradients stay, and so do optimisers and checkpoints: only the order in memory changes.
-    Strided depthwise convolutions become `StridedDepthwise`. Results differ by rounding.
+    Under a CPU's autocast strided depthwise convolutions and small volumes stay in float32: the former become
+    `StridedDepthwise`, 3D convolutions `SmallConv3d` and `SmallConvTranspose3d`. Results differ by rounding.
 
     Args:
         model: changed in place.
@@ -51,6 +93,7 @@ def prepare_for_training(model: Network) -> Network:
     for module in model.modules():
         if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
             module.to(memory_format=torch.channels_last_3d)
+            module.__class__ = _SUBSTITUTES.get(type(module), type(module))
         elif isinstance(module, nn.Conv2d):
             depthwise = module.groups == module.in_channels > 1
             if depthwise or module.kernel_size == (1, 1):

@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 from stereokit import build_model
 from stereokit.optimize import prepare_for_inference, prepare_for_training
-from stereokit.optimize.training import StridedDepthwise
+from stereokit.optimize.training import SmallConv3d, SmallConvTranspose3d, StridedDepthwise
 
 
 def test_training_goes_on_as_before():
@@ -49,6 +49,36 @@ def test_autocast_leaves_strided_depthwise_convolutions_in_float32(stride, chann
     assert (fast(x.float()) == 2**-10).all()
 
 
+@given(
+    kind=st.sampled_from([nn.Conv3d, nn.ConvTranspose3d]),
+    kernel=st.integers(2, 4),
+    stride=st.integers(1, 2),
+    size=st.tuples(*[st.integers(1, 5)] * 3),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_autocast_leaves_volumes_smaller_than_the_kernel_in_float32(kind, kernel, stride, size, seed):
+    torch.manual_seed(seed)
+    # of whole numbers, whose products are exact in float32
+    padding = kernel // 2 if kind is nn.Conv3d else (kernel - 1) // 2
+    conv = kind(3, 4, kernel, stride=stride, padding=padding, bias=False)
+    with torch.no_grad():
+        conv.weight.copy_(torch.randint(-8, 9, conv.weight.shape))
+    volume = torch.randint(-8, 9, (1, 3, *size)).float()
+    expected = conv(volume)
+    direction = torch.randint(-8, 9, expected.shape).float()
+    (wanted,) = torch.autograd.grad(expected, conv.weight, direction)
+    fast = prepare_for_training(nn.Sequential(conv))
+    with torch.autocast("cpu", torch.bfloat16):
+        y = fast(volume)
+    (gradient,) = torch.autograd.grad(y, conv.weight, direction.bfloat16())
+    assert y.dtype == torch.bfloat16
+    if min(size) < kernel:
+        assert_close(y, expected.bfloat16(), rtol=0, atol=0)
+        assert_close(gradient, wanted, rtol=0, atol=0)
+    else:
+        assert_close(gradient, wanted, rtol=0.01, atol=0)
+
+
 def test_weights_of_half_precision_work_in_autocast():
     fast = prepare_for_training(nn.Conv2d(4, 4, 3, stride=2, groups=4).bfloat16())
     with torch.autocast("cpu", torch.bfloat16):
@@ -62,5 +92,6 @@ def test_other_convolutions_stay_what_they_are():
 
 def test_networks_that_were_trained_are_prepared_for_inference():
     model = prepare_for_training(build_model("coex", max_disparity=32)).eval()
-    assert any(type(module) is StridedDepthwise for module in model.modules())
-    assert not any(type(module) is StridedDepthwise for module in prepare_for_inference(model).modules())
+    substitutes = {StridedDepthwise, SmallConv3d, SmallConvTranspose3d}
+    assert {type(module) for module in model.modules()} >= substitutes
+    assert not {type(module) for module in prepare_for_inference(model).modules()} & substitutes
