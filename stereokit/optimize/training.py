@@ -19,12 +19,12 @@ class ApartFromAutocast(nn.Module):
         """Whether the convolution of x is one that autocast is to leave alone."""
         raise NotImplementedError
 
-    def forward(self, x: Tensor, *args: Any) -> Tensor:
-        """The convolution of x, in the type that autocast would give it."""
-        if x.device.type != "cpu" or not torch.is_autocast_enabled("cpu") or not self.stays_out(x):
-            return super().forward(x, *args)
+    def forward(self, input: Tensor, *args: Any, **options: Any) -> Tensor:
+        """The convolution of the input, in the type that autocast would give it."""
+        if input.device.type != "cpu" or not torch.is_autocast_enabled("cpu") or not self.stays_out(input):
+            return super().forward(input, *args, **options)
         with torch.autocast("cpu", enabled=False):
-            y = super().forward(x.to(self.weight.dtype), *args)
+            y = super().forward(input.to(self.weight.dtype), *args, **options)
         return y.to(torch.get_autocast_dtype("cpu"))
 
 

@@ -79,6 +79,14 @@ def test_autocast_leaves_volumes_smaller_than_the_kernel_in_float32(kind, kernel
         assert_close(gradient, wanted, rtol=0.01, atol=0)
 
 
+def test_transposed_convolutions_take_the_size_of_their_output():
+    fast = prepare_for_training(nn.ConvTranspose3d(2, 2, 3, stride=2, padding=1))
+    with torch.autocast("cpu", torch.bfloat16):
+        for depth in (2, 3):
+            size = [2 * depth, 8, 7]
+            assert fast(torch.rand(1, 2, depth, 4, 4), output_size=size).shape[2:] == tuple(size)
+
+
 def test_weights_of_half_precision_work_in_autocast():
     fast = prepare_for_training(nn.Conv2d(4, 4, 3, stride=2, groups=4).bfloat16())
     with torch.autocast("cpu", torch.bfloat16):
