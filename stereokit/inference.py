@@ -18,8 +18,9 @@ from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.opening import FILE_BACKENDS, check_backend, check_no_program, is_exported, open_backend
 from stereokit.data.atomic import atomic_path, check_free, make_folder
 from stereokit.data.disparity_files import write_disparity
+from stereokit.data.disparity_png import fits_kitti_png
 from stereokit.data.images import write_image
-from stereokit.errors import CheckpointError, ConfigError
+from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inputs import ImageLike, to_pair
 from stereokit.memory import MemorySize, available_memory, running_out_as
 from stereokit.model import StereoModel, StereoOutput, check_least_size
@@ -29,8 +30,6 @@ from stereokit.viz import picture_with_scale
 from stereokit.weights import load_weights, named_weights, suggest_weights
 
 __all__ = ["DisparityResult", "Predictor", "choose_device"]
-
-KITTI_MAX = 65535 / 256
 
 NO_LIMITS: dict[str, Any] = {"max_memory": None, "too_large": "error"}
 
@@ -119,14 +118,16 @@ class DisparityResult:
         check_free(paths, overwrite=overwrite)
         make_folder(folder)
         kitti, *exact, picture = paths
-        known = self.disparity[np.isfinite(self.disparity)]
-        encodable = ((known >= 0) & (known <= KITTI_MAX)).all()
+        encodable = fits_kitti_png(self.disparity)
         disparities = [kitti, *exact] if encodable else exact
         for path in disparities:
             self.save(path, overwrite=overwrite)
         if not encodable:
             # of another result
-            kitti.unlink(missing_ok=True)
+            try:
+                kitti.unlink(missing_ok=True)
+            except OSError as error:
+                raise InputError(f"{str(kitti)!r} can't be removed: {error.strerror or error}") from error
         write_image(picture, self.picture(), overwrite=overwrite)
         return [*disparities, picture]
 
@@ -195,6 +196,7 @@ class Predictor:
         self.scale = scale
         self._measurable = True
         self._bounded: BoundedMatcher | None = None
+        self._planned: set[tuple[int, int]] = set()
         if isinstance(self.backend, TorchBackend) or self.limits != NO_LIMITS:
             self._bounded = self._matcher()
 
@@ -232,8 +234,11 @@ class Predictor:
         left, right = to_pair(left, right)
         check_least_size(*left.shape[-2:])
         start = time.perf_counter()
-        run = self._fitting(*reduced_size((left.shape[-2], left.shape[-1]), self.scale))
-        _preparation_seconds.set(time.perf_counter() - start)
+        size = reduced_size((left.shape[-2], left.shape[-1]), self.scale)
+        run = self._fitting(*size)
+        # what was found out for a size is kept
+        _preparation_seconds.set(0.0 if size in self._planned else time.perf_counter() - start)
+        self._planned.add(size)
         output = run(left, right) if self.scale == 1 else match_reduced(run, left, right, scale=self.scale)
         preparation = _preparation_seconds.get()
         seconds = time.perf_counter() - start - preparation

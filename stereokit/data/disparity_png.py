@@ -14,6 +14,7 @@ from stereokit.errors import InputError
 
 __all__ = [
     "KITTI_SCALE",
+    "fits_kitti_png",
     "is_grey",
     "read_drivingstereo_full_png",
     "read_kitti_png",
@@ -62,15 +63,24 @@ def write_kitti_png(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool
         raise InputError(f"{name!r}: KITTI's encoding is written to a file that ends in .png")
     values = to_disparity(path, disparity)
     known = ~np.isnan(values)
-    steps = np.rint(values[known].astype(np.float64) * KITTI_SCALE)
-    if steps.size and (values[known].min() < 0 or steps.max() > 65535):
+    if not fits_kitti_png(values):
         raise InputError(
             f"{name!r}: KITTI's PNG holds disparity from 0 to 255.996, "
             f"got {values[known].min()} to {values[known].max()}; write .pfm or .npy"
         )
     samples = np.zeros(values.shape, np.uint16)
-    samples[known] = np.maximum(steps, 1)
+    samples[known] = np.maximum(np.rint(values[known].astype(np.float64) * KITTI_SCALE), 1)
     write_samples(path, samples, overwrite=overwrite)
+
+
+def fits_kitti_png(disparity: npt.NDArray[Any]) -> bool:
+    """Whether KITTI's encoding holds all known values.
+
+    >>> fits_kitti_png(np.array([0, 255.997, np.nan])), fits_kitti_png(np.array([255.999])), fits_kitti_png(-np.ones(1))
+    (True, False, False)
+    """
+    known = disparity[np.isfinite(disparity)].astype(np.float64)
+    return bool(((known >= 0) & (np.rint(known * KITTI_SCALE) <= 65535)).all())
 
 
 def read_scaled_png(path: PathLike, *, scale: float) -> Disparity:
