@@ -88,6 +88,8 @@ def evaluate(
         raise InputError(f"the data sets are {', '.join(datasets)}; expected each once")
     opened = datasets if isinstance(datasets, Mapping) else {spec: open_dataset(spec) for spec in datasets}
     rules = StereoMetrics(taus=taus, max_disparity=max_disparity)
+    # first, since it may fail
+    model = describe_matcher(matcher)
     started = datetime.now(timezone.utc).isoformat(timespec="seconds")
     results = []
     for name, dataset in opened.items():
@@ -119,7 +121,7 @@ def evaluate(
             )
         )
     return Evaluation(
-        model=describe_matcher(matcher),
+        model=model,
         settings={
             "taus": list(rules.taus),
             "max_disparity": rules.max_disparity,

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from stereokit.errors import StereoKitError
 from stereokit.losses import masked_cross_entropy, stereo_loss, truth_of_cells
+from stereokit.memory import running_out_as
 from stereokit.metrics import StereoMetrics, valid_pixels
 from stereokit.model import StereoModel, StereoOutput
 from stereokit.optimize import prepare_for_training
@@ -204,7 +205,9 @@ class StereoTraining(LightningModule):
 
     def validation_step(self, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> Tensor:
         """Counts the errors of a pair, and gives its disparity for the pictures."""
-        disparity = self.model(batch["left"], batch["right"]).disparity
+        height, width = batch["left"].shape[-2:]
+        with running_out_as(f"a validation pair of {width} x {height} pixels takes more memory than there is"):
+            disparity: Tensor = self.model(batch["left"], batch["right"]).disparity
         self._metrics[dataloader_idx].update(disparity, batch["disparity"])
         return disparity
 

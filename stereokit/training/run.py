@@ -4,7 +4,7 @@ import json
 import logging
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -199,6 +199,8 @@ def train(
         "validate": list(validation),
         "start": None if model is None else state_sha256(model.state_dict()),
     }
+    # now: in hours the code beside it may be another
+    circumstances = _circumstances(command)
     last = out / "checkpoints" / "last.ckpt"
     goes_on = resume and last.is_file()
     if goes_on:
@@ -225,7 +227,7 @@ def train(
             "seconds": round(training.seconds, 1),
             "weights_sha256": state_sha256(trained.state_dict()),
             "validation": training.errors,
-            **_circumstances(command),
+            **circumstances,
         }
         if is_first_process():
             trained.save_pretrained(folder)
@@ -267,7 +269,7 @@ def train(
             f"{precision!r}: {' '.join(str(error).split())}"
         ) from error
     if is_first_process():
-        _prepare_folder(out, asked, resume=resume, command=command)
+        _prepare_folder(out, asked, circumstances, resume=resume)
         if goes_on:
             print(f"goes on with the run in {out}")
         elif model is not None:
@@ -288,7 +290,9 @@ def train(
     except Exception as error:
         if is_first_process():
             ended_by = str(error) if isinstance(error, StereoKitError) else f"{type(error).__name__}: {error}"
-            _write_json(out / "run.json", {**_read_json(out / "run.json"), "ended_by": ended_by})
+            # such as a full disk, which is what is to be told
+            with suppress(StereoKitError):
+                _write_json(out / "run.json", {**_read_json(out / "run.json"), "ended_by": ended_by})
         raise
     except SystemExit as error:
         # what Lightning makes of Ctrl-C
@@ -403,7 +407,7 @@ def _new_network(recipe: Recipe) -> StereoModel:
     return network
 
 
-def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: str | None) -> None:
+def _prepare_folder(out: Path, asked: dict[str, Any], circumstances: Mapping[str, Any], *, resume: bool) -> None:
     """Makes the folder of a new run, or sees that the one there is of the same run."""
     record = out / "run.json"
     if record.exists() and resume:
@@ -417,7 +421,7 @@ def _prepare_folder(out: Path, asked: dict[str, Any], *, resume: bool, command: 
     if not record.exists() and out.exists() and any(out.iterdir()):
         raise InputError(f"the folder {str(out)!r} is not empty and holds no run; choose another --out")
     make_folder(out / "checkpoints")
-    _write_json(record, {**asked, **_circumstances(command)})
+    _write_json(record, {**asked, **circumstances})
 
 
 def _failed_at_once(out: Path, run: Mapping[str, Any]) -> bool:

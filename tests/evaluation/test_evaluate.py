@@ -13,6 +13,7 @@ from stereokit.data import write_image
 from stereokit.data.datasets import open_dataset
 from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation import evaluate
+from stereokit.provenance import file_sha256
 from tests.evaluation.scenes import SIZE, Batches, constant, save_kitti, save_scene
 
 
@@ -173,6 +174,15 @@ def test_the_clock_excludes_the_warm_up_and_shares_a_batch(three):
     [result] = evaluate(matcher, [three], batch=3).datasets
     assert matcher.sizes == [3, 3]
     assert 0.05 <= result.median_seconds < 0.14
+
+
+def test_a_matcher_that_can_not_be_described_is_refused_before_it_matches(three):
+    matcher = constant(1)
+    matcher.describe = lambda: file_sha256("gone.safetensors")
+    seen = []
+    with pytest.raises(InputError, match="gone"):
+        evaluate(matcher, [three], observers=[lambda *_: seen.append(1)])
+    assert not seen
 
 
 def test_what_is_needed_once_is_not_on_the_clock(three, monkeypatch):

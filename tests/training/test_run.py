@@ -24,6 +24,7 @@ from stereokit.model import StereoModel
 from stereokit.provenance import state_sha256
 from stereokit.training import StereoTraining, TrainingSamples, train, with_length
 from stereokit.training.data import StereoData
+from stereokit.training.module import TrainingError
 from stereokit.training.recipe import Loss
 from tests.training.tiny import TINY
 
@@ -195,6 +196,38 @@ def test_running_out_of_memory_is_one_line_and_the_folder_stays_free(tmp_path, m
         with pytest.raises(InputError, match="tiny: a step takes more memory than there is; a smaller --batch"):
             train(TINY, tmp_path, **CPU)
     assert train(with_length(TINY, steps=1, batch=1), tmp_path, **CPU).record["pairs_seen"] == 1
+
+
+def test_a_validation_that_runs_out_of_memory_does_not_blame_the_batch(tmp_path, monkeypatch):
+    model = build_model("coex", max_disparity=32)
+    forward = StereoModel.forward
+
+    def full(self, left, *args):
+        if not self.training:
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        return forward(self, left, *args)
+
+    monkeypatch.setattr(StereoModel, "forward", full)
+    with pytest.raises(InputError, match=r"a validation pair of [0-9]+ x [0-9]+ pixels takes more memory"):
+        train(TINY, tmp_path, model=model, **CPU)
+
+
+def test_a_record_that_can_not_be_written_does_not_hide_the_error(tmp_path, monkeypatch):
+    def end(self, *_):
+        (tmp_path / "run.json").unlink()
+        (tmp_path / "run.json").mkdir()
+        raise TrainingError("told")
+
+    monkeypatch.setattr(StereoTraining, "training_step", end)
+    with pytest.raises(TrainingError, match="told"):
+        train(TINY, tmp_path, **CPU)
+
+
+def test_a_run_is_of_the_commit_that_it_started_with(tmp_path, monkeypatch):
+    commits = map(str, range(9))
+    monkeypatch.setattr(sys.modules[train.__module__], "commit", lambda: next(commits))
+    record = train(with_length(TINY, steps=1), tmp_path, **CPU).record
+    assert {record["commit"], json.loads((tmp_path / "run.json").read_text())["commit"]} == {"0"}
 
 
 def test_an_interruption_stays_one(tmp_path, monkeypatch):
