@@ -98,8 +98,9 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     asked["recipe"] = recipe_of(options, row.model, {}).to_dict()
     if path.is_file():
         before = json.loads(path.read_text(encoding="utf-8"))
-        if before["asked"] != asked:
-            raise StereoKitError(f"{str(path)!r} is of another budget: {before['asked']}; choose another --out")
+        stored = Recipe.from_dict(before["asked"]["recipe"]).to_dict()
+        if {**before["asked"], "recipe": stored} != asked:
+            raise StereoKitError(f"{str(path)!r} is of another budget or recipe; choose another --out")
         return dict(before)
     print(f"{name}: {describe(row)}", file=sys.stderr)
     # rows that train alike, whatever they test, share a run
@@ -133,7 +134,8 @@ def trained(
     folder = options.out / "runs" / "_".join(words(budget)) / "_".join([model, *words(overrides)])
     if (folder / "network" / "training.json").is_file():
         record = json.loads((folder / "network" / "training.json").read_text(encoding="utf-8"))
-        if record["recipe"] != recipe.to_dict():
+        # with the defaults of what a recipe before knew nothing of
+        if Recipe.from_dict(record["recipe"]).to_dict() != recipe.to_dict():
             raise StereoKitError(f"{str(folder)!r} was trained by another recipe; choose another --out")
         return StereoModel.from_pretrained(folder / "network"), summary(record)
     outcome = train(

@@ -34,6 +34,7 @@ from stereokit import (
 )
 from stereokit.backends.compiled import compile_network
 from stereokit.inference import choose_device
+from stereokit.inputs import as_array
 from stereokit.optimize import keep_freed_memory, prepare_for_inference
 from stereokit.optimize.convolution import cpu_has
 
@@ -159,7 +160,7 @@ def work(options: argparse.Namespace, device: torch.device) -> None:
             report["compilation"] = time.perf_counter() - start
         for _ in range(2):
             disparity = model(*images).disparity
-        np.save(options.result, disparity.float().cpu().numpy())
+        np.save(options.result, as_array(disparity))
         serve(report, lambda: model(*images))
 
 

@@ -19,10 +19,10 @@ from stereokit.contracts import (
     input_multiple,
     regression_levels,
 )
-from stereokit.data.atomic import atomic_path, make_folder
+from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError, InputError
 from stereokit.inputs import as_float
-from stereokit.pretrained import load_folder, save_folder, saved_config
+from stereokit.pretrained import load_folder, save_folder
 from stereokit.regression.interpolation import bilinear_upsample
 
 if TYPE_CHECKING:
@@ -214,7 +214,6 @@ class StereoModel(
         push_to_hub: bool = False,
         repo_id: str | None = None,
         model_card_kwargs: dict[str, Any] | None = None,
-        config: Any = None,
         **hub_arguments: Any,
     ) -> str | None:
         """Writes the configuration and the weights into a folder, from where `from_pretrained` reads them.
@@ -224,7 +223,6 @@ class StereoModel(
             push_to_hub: put the network on the hub too.
             repo_id: owner/name there; the folder's name by default.
             model_card_kwargs: for the card, README.md, which is written where there is none.
-            config: is not used; the hub passes it on.
             hub_arguments: of `push_to_hub`: `private`, `token`, ..
 
         Returns:
@@ -234,8 +232,6 @@ class StereoModel(
             ConfigError: a block of the network was passed in as a module, so that its configuration can't rebuild it.
         """
         # in place of the mixin's own, which begins by deleting the configuration that is there
-        saved_config(self)
-        make_folder(save_directory)
         folder = Path(save_directory)
         save_folder(self, folder)
         card = folder / "README.md"

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from stereokit._version import __version__
-from stereokit.data.atomic import atomic_path
+from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:
@@ -58,10 +58,15 @@ def is_hub_id(name: str) -> bool:
 def save_folder(model: "StereoModel", folder: Path) -> None:
     """Writes the configuration and the weights of a network; each file appears whole or not at all.
 
+    Args:
+        model: refused before anything is made.
+        folder: is made if need be.
+
     Raises:
         ConfigError: see `saved_config`.
     """
     config = saved_config(model)
+    make_folder(folder)
     with atomic_path(folder / WEIGHTS_NAME, overwrite=True) as temporary:
         temporary.write_bytes(save({k: v.contiguous() for k, v in model.state_dict().items()}))
     with atomic_path(folder / CONFIG_NAME, overwrite=True) as temporary:

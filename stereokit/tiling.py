@@ -289,7 +289,8 @@ class BoundedMatcher:
                 f"tiles share as many columns as the largest disparity, and {type(network).__name__} has no attribute "
                 "max_disparity that tells it; set it, or 'reduce' would do"
             )
-        self.max_disparity = None if ceiling is None else int(ceiling)
+        self._cuts = ceiling is not None
+        self.max_disparity = int(ceiling or 0)
         self.multiple = int(getattr(network, "multiple", 1))
         self._estimate = partial(estimate_memory, network) if estimate is None else estimate
         self._known: dict[tuple[int, int], int] = {}
@@ -317,7 +318,7 @@ class BoundedMatcher:
                 "estimated; a smaller max_memory with 'tile' or 'reduce' would do"
             ),
         ):
-            if plan.how == "tile" and plan.tile is not None and self.max_disparity is not None:
+            if plan.how == "tile" and plan.tile is not None:
                 return match_tiles(
                     self._on_device,
                     left,
@@ -373,17 +374,17 @@ class BoundedMatcher:
 
     def _count(self, height: int, width: int, tile: tuple[int, int]) -> int:
         rows, columns = tile_grid(
-            (height, width), tile, max_disparity=self.max_disparity or 0, overlap=self.overlap, multiple=self.multiple
+            (height, width), tile, max_disparity=self.max_disparity, overlap=self.overlap, multiple=self.multiple
         )
         return len(rows) * len(columns)
 
     def _tile(self, height: int, width: int, allowed: int) -> tuple[int, int] | None:
         """The tiles that fit and have the fewest pixels in all; None where none fits."""
-        if self.max_disparity is None:
+        if not self._cuts:
             return None
         pixels = height * width * allowed / self._needed(height, width)
         for _ in range(8):
-            tile = self._cheapest_tile(height, width, pixels, self.max_disparity)
+            tile = self._cheapest_tile(height, width, pixels)
             if tile is None:
                 return None
             needed = self._needed(*tile)
@@ -393,8 +394,8 @@ class BoundedMatcher:
             pixels = tile[0] * tile[1] * allowed / needed * 0.98
         return None
 
-    def _cheapest_tile(self, height: int, width: int, pixels: float, max_disparity: int) -> tuple[int, int] | None:
-        shared = (self.overlap, max_disparity + self.overlap)
+    def _cheapest_tile(self, height: int, width: int, pixels: float) -> tuple[int, int] | None:
+        shared = (self.overlap, self.max_disparity + self.overlap)
         heights, widths = (
             [(count, self._tile_side(length, count, common)) for count in range(1, MOST_TILES + 1)]
             for length, common in zip((height, width), shared, strict=True)

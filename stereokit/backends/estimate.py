@@ -7,6 +7,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from stereokit.inputs import as_array
 from stereokit.model import StereoOutput
 
 __all__ = ["Backend", "Estimate"]
@@ -23,8 +24,8 @@ class Estimate(NamedTuple):
     @classmethod
     def of(cls, output: StereoOutput) -> "Estimate":
         """The disparity and the confidence of a network's output."""
-        confidence = None if output.confidence is None else output.confidence.float().cpu().numpy()
-        return cls(output.disparity.float().cpu().numpy(), confidence)
+        confidence = None if output.confidence is None else as_array(output.confidence)
+        return cls(as_array(output.disparity), confidence)
 
 
 class Backend(Protocol):

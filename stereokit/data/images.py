@@ -19,6 +19,7 @@ __all__ = [
     "read_image",
     "read_image_size",
     "read_samples",
+    "to_uint8",
     "write_image",
     "write_samples",
 ]
@@ -60,6 +61,15 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     elif peak < full:
         rgb = ((np.minimum(rgb, peak).astype(np.uint16) * full + peak // 2) // peak).astype(np.uint8)
     return np.ascontiguousarray(rgb)
+
+
+def to_uint8(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """An image of 8 bits per sample: itself, or floats in [0, 1] rounded; what lies outside is clipped.
+
+    >>> to_uint8(np.array([-0.1, 0.5, 1.0, 1.2])).tolist()
+    [0, 128, 255, 255]
+    """
+    return image if image.dtype == np.uint8 else np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def read_image_size(path: str | os.PathLike[str]) -> tuple[int, int]:

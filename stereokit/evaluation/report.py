@@ -13,6 +13,7 @@ import numpy.typing as npt
 from stereokit.data.atomic import atomic_path, check_free, make_folder
 from stereokit.data.datasets.dataset import StereoSample
 from stereokit.data.disparity_arrays import Disparity
+from stereokit.data.images import to_uint8
 from stereokit.errors import ConfigError
 from stereokit.evaluation.report_page import Card, Figure, page
 from stereokit.evaluation.results import Evaluation, PairResult
@@ -99,8 +100,7 @@ def _figures(sample: StereoSample, prediction: Disparity) -> tuple[Figure, ...]:
     has_truth = known is not None and bool(np.isfinite(known).any())
     value_range = robust_range(known if known is not None and has_truth else prediction)
     scale = f"{value_range[0]:.0f} to {value_range[1]:.0f} px"
-    left = sample.left if sample.left.dtype == np.uint8 else np.rint(sample.left * 255).astype(np.uint8)
-    figures = [Figure("Left image", "", _photograph(left))]
+    figures = [Figure("Left image", "", _photograph(to_uint8(sample.left)))]
     if known is not None and has_truth:
         figures.append(Figure("Ground truth", scale, _exact(colorize(known, value_range=value_range))))
     figures.append(Figure("Prediction", scale, _photograph(colorize(prediction, value_range=value_range))))

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.data.disparity_arrays import Disparity
+from stereokit.data.images import to_uint8
 from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.matcher import Image
 
@@ -79,7 +80,7 @@ class SemiGlobalMatcher:
         if left.shape != right.shape:
             raise InputError(f"the left image has shape {left.shape}, the right one {right.shape}; expected one shape")
         levels = -(-self.search_range // 16) * 16
-        views = [cv2.copyMakeBorder(_to_uint8(view), 0, 0, levels, 0, cv2.BORDER_REPLICATE) for view in (left, right)]
+        views = [cv2.copyMakeBorder(to_uint8(view), 0, 0, levels, 0, cv2.BORDER_REPLICATE) for view in (left, right)]
         area = CHANNELS * self.block_size**2
         matcher = cv2.StereoSGBM.create(
             minDisparity=0,
@@ -140,7 +141,3 @@ def _carried(disparity: Disparity) -> Disparity:
     columns = np.where(np.isfinite(disparity), np.arange(disparity.shape[1]), 0)
     last: Disparity = np.take_along_axis(disparity, np.maximum.accumulate(columns, axis=1), axis=1)
     return last
-
-
-def _to_uint8(image: Image) -> npt.NDArray[np.uint8]:
-    return image if image.dtype == np.uint8 else np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)

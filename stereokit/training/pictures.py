@@ -12,7 +12,8 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from torch import Tensor
 
 from stereokit.data.atomic import make_folder
-from stereokit.data.images import write_image
+from stereokit.data.images import to_uint8, write_image
+from stereokit.inputs import as_array
 from stereokit.training.samples import Batch
 from stereokit.viz import captioned, colorize, error_picture, robust_range
 
@@ -31,10 +32,8 @@ def picture(left: Tensor, truth: Tensor, disparity: Tensor) -> npt.NDArray[np.ui
     >>> picture(torch.zeros(3, 32, 48), torch.ones(32, 48), torch.ones(32, 48)).shape
     (64, 96, 3)
     """
-    image = left.permute(1, 2, 0).cpu().numpy()
-    if image.dtype != np.uint8:
-        image = np.rint(image * 255).astype(np.uint8)
-    known, estimate = truth.cpu().numpy(), disparity.float().cpu().numpy()
+    image = to_uint8(as_array(left.permute(1, 2, 0)))
+    known, estimate = as_array(truth), as_array(disparity)
     span = robust_range(known if np.isfinite(known).any() else estimate)
     tiles = [
         {"left image": image, "ground truth": colorize(known, value_range=span)},

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.data.datasets.layout import images_in
-from stereokit.data.images import read_image
+from stereokit.data.images import read_image, to_uint8
 from stereokit.data.synthetic.patterns import TILE, draw_tiles
 from stereokit.data.synthetic.surfaces import Array
 from stereokit.errors import ConfigError, InputError
@@ -280,12 +280,10 @@ def _find_photographs(folder: Path) -> list[Path]:
 
 @lru_cache(maxsize=_HELD_PHOTOGRAPHS)
 def _photograph(path: Path) -> Pyramid:
-    image = read_image(path)
-    if image.dtype != np.uint8:
-        image = np.rint(image * 255).astype(np.uint8)
+    image = to_uint8(read_image(path))
     height, width = image.shape[:2]
     shrink = min(1.0, _LARGEST_PHOTOGRAPH / max(height, width))
     if shrink < 1:
         size = max(round(width * shrink), 1), max(round(height * shrink), 1)
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     return _pyramid(np.ascontiguousarray(image))
