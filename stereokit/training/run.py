@@ -25,6 +25,7 @@ from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.memory import running_out_as
 from stereokit.model import StereoModel
+from stereokit.optimize.convolution import cpu_has
 from stereokit.provenance import commit, machine, state_sha256, versions
 from stereokit.training.averaging import AveragedWeights
 from stereokit.training.best import BestNetwork
@@ -268,6 +269,12 @@ def train(
             f"this machine does not train on accelerator {accelerator!r}, devices {devices!r} with precision "
             f"{precision!r}: {' '.join(str(error).split())}"
         ) from error
+    if trainer.strategy.root_device.type == "cpu" and precision.startswith("bf16") and not cpu_has(torch.bfloat16):
+        warnings.warn(
+            f"this processor has no instructions for bfloat16, so that precision {precision!r} is slower here than "
+            "the default of 32",
+            stacklevel=2,
+        )
     if is_first_process():
         _prepare_folder(out, asked, circumstances, resume=resume)
         if goes_on:

@@ -230,6 +230,12 @@ def test_a_run_is_of_the_commit_that_it_started_with(tmp_path, monkeypatch):
     assert {record["commit"], json.loads((tmp_path / "run.json").read_text())["commit"]} == {"0"}
 
 
+def test_bfloat16_without_instructions_for_it_is_warned_of(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[train.__module__], "cpu_has", lambda _: False)
+    with pytest.warns(UserWarning, match="no instructions for bfloat16, so that precision 'bf16-mixed' is slower"):
+        train(with_length(TINY, steps=1), tmp_path, precision="bf16-mixed", **CPU)
+
+
 def test_an_interruption_stays_one(tmp_path, monkeypatch):
     def interrupt(self, *_):
         raise KeyboardInterrupt
