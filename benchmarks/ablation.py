@@ -98,9 +98,8 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     asked["recipe"] = recipe_of(options, row.model, {}).to_dict()
     if path.is_file():
         before = json.loads(path.read_text(encoding="utf-8"))
-        stored = Recipe.from_dict(before["asked"]["recipe"]).to_dict()
-        if {**before["asked"], "recipe": stored} != asked:
-            raise StereoKitError(f"{str(path)!r} is of another budget or recipe; choose another --out")
+        if {**before["asked"], "recipe": with_defaults(before["asked"].get("recipe"))} != asked:
+            raise StereoKitError(f"{str(path)!r} is of another budget: {before['asked']}; choose another --out")
         return dict(before)
     print(f"{name}: {describe(row)}", file=sys.stderr)
     # rows that train alike, whatever they test, share a run
@@ -126,6 +125,11 @@ def recipe_of(options: argparse.Namespace, model: str, overrides: dict[str, Any]
     )
 
 
+def with_defaults(stored: dict[str, Any] | None) -> dict[str, Any] | None:
+    """A stored recipe with the defaults of what it knew nothing of; None for a record without one."""
+    return None if stored is None else Recipe.from_dict(stored).to_dict()
+
+
 def trained(
     model: str, overrides: dict[str, Any], asked: dict[str, Any], options: argparse.Namespace
 ) -> tuple[StereoModel, dict[str, Any]]:
@@ -134,8 +138,7 @@ def trained(
     folder = options.out / "runs" / "_".join(words(budget)) / "_".join([model, *words(overrides)])
     if (folder / "network" / "training.json").is_file():
         record = json.loads((folder / "network" / "training.json").read_text(encoding="utf-8"))
-        # with the defaults of what a recipe before knew nothing of
-        if Recipe.from_dict(record["recipe"]).to_dict() != recipe.to_dict():
+        if with_defaults(record["recipe"]) != recipe.to_dict():
             raise StereoKitError(f"{str(folder)!r} was trained by another recipe; choose another --out")
         return StereoModel.from_pretrained(folder / "network"), summary(record)
     outcome = train(
