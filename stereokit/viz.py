@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereokit.data.images import to_uint8
 from stereokit.errors import ConfigError, InputError
 from stereokit.inputs import as_array
 from stereokit.registry import suggest
@@ -111,7 +112,7 @@ def colorize(
     lo, hi = _checked_range(value_range) if value_range is not None else robust_range(disparity)
     known = np.isfinite(disparity)
     level = (np.where(known, disparity, lo).astype(np.float64) - lo) / (hi - lo)
-    picture = _color_table(colormap)[np.rint(np.clip(level, 0, 1) * 255).astype(np.uint8)]
+    picture = _color_table(colormap)[to_uint8(level)]
     picture[~known] = 0
     return picture
 

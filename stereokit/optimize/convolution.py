@@ -14,8 +14,8 @@ __all__ = ["Convolution", "FusedConvolution", "fold_batch_norm", "fusable_activa
 
 Convolution: TypeAlias = nn.Conv2d | nn.Conv3d | nn.ConvTranspose2d | nn.ConvTranspose3d
 
-# those of training compute the same
 PLAIN = (nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d, nn.ConvTranspose3d)
+# which compute the same
 OF_TRAINING = (StridedDepthwise, SmallConv3d, SmallConvTranspose3d)
 
 # fewer output channels than this leave most of a vector register empty

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereokit.data.images import to_uint8
 from stereokit.data.synthetic.surfaces import Array
 
 __all__ = ["PATTERNS", "TILE", "Tile", "draw_tiles", "noise"]
@@ -56,7 +57,7 @@ def draw_tiles(rng: Generator, count: int) -> list[Tile]:
 
 def _as_tile(values: Array) -> Tile:
     low, high = np.quantile(values, (0.005, 0.995))
-    tile: Tile = np.rint(np.clip((values - low) / max(high - low, 1e-6), 0, 1) * 255).astype(np.uint8)
+    tile: Tile = to_uint8((values - low) / max(high - low, 1e-6))
     return tile
 
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from stereokit.data.augmentation.geometry import shift_right_view
 from stereokit.data.datasets.dataset import StereoSample
+from stereokit.data.images import to_uint8
 from stereokit.data.synthetic.surfaces import Array
 from stereokit.data.synthetic.textures import Image
 
@@ -76,5 +77,5 @@ class Cameras:
 
 def _tone(image: Image, gain: npt.NDArray[np.float64], gamma: float) -> Image:
     values = np.linspace(0, 1, 256)[:, None] ** gamma * gain
-    table = np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8)
+    table = to_uint8(values)
     return np.asarray(cv2.LUT(image, table[None]), np.uint8)

@@ -241,15 +241,13 @@ def _random_tone_curves(rng: np.random.Generator, contrast: float) -> Image:
         values = 1 - values
     gain, middle = rng.uniform(0.7, 1.2, 3), rng.uniform(0.2, 0.7)
     curves = gain * np.broadcast_to(middle + contrast * (values - middle), (256, 3))
-    curve: Image = np.rint(np.clip(curves, 0, 1) * 255).astype(np.uint8)
-    return curve
+    return to_uint8(curves)
 
 
 def _blend(colours: Sequence[npt.NDArray[Any]], places: npt.NDArray[Any]) -> Image:
     at, table = np.linspace(0, 1, 256), np.array(colours)
     palette = np.stack([np.interp(at, places, table[:, channel]) for channel in range(3)], axis=1)
-    colour: Image = np.rint(np.clip(palette, 0, 1) * 255).astype(np.uint8)
-    return colour
+    return to_uint8(palette)
 
 
 @lru_cache(maxsize=2)
