@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _refuse(command: str, unknown: Sequence[str]) -> NoReturn:
     """What argparse says of arguments that a command does not know, which names no command."""
-    unquoted = any(not argument.startswith("-") for argument in unknown)
+    unquoted = not unknown[0].startswith("-")
     hint = " (a pattern such as 'left/*.png' must stand in quotes)" if unquoted else ""
     print(
         f"stereokit {command}: unrecognized arguments: {' '.join(unknown)}{hint}; see stereokit {command} --help",

@@ -201,6 +201,7 @@ def test_unknown_options_are_refused_in_the_name_of_their_command(capsys: pytest
     said = fails(capsys, "predict", "left.png", "right.png", "--verbose")
     assert said == "stereokit predict: unrecognized arguments: --verbose; see stereokit predict --help\n"
     assert "in quotes" in fails(capsys, "predict", "a.png", "b.png", "c.png", "--verbose")
+    assert "in quotes" not in fails(capsys, "predict", "a.png", "b.png", "--zoom", "3")
 
 
 def test_the_package_runs_as_a_module() -> None:

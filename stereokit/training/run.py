@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, cast
 
 import torch
@@ -21,12 +22,13 @@ from stereokit.builder import build_model
 from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.data.datasets import open_dataset
 from stereokit.data.datasets.dataset import StereoDataset, StereoSample
+from stereokit.data.datasets.layout import images_in
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.memory import running_out_as
 from stereokit.model import StereoModel
 from stereokit.optimize.convolution import cpu_has
-from stereokit.provenance import commit, machine, state_sha256, versions
+from stereokit.provenance import commit, file_sha256, machine, state_sha256, versions
 from stereokit.training.averaging import AveragedWeights
 from stereokit.training.best import BestNetwork
 from stereokit.training.data import StereoData, usual_workers
@@ -196,7 +198,8 @@ def train(
         "recipe": recipe.to_dict(),
         "seed": seed,
         "data": list(data),
-        "textures": None if textures is None else str(textures),
+        # by content: the folder may lie elsewhere tomorrow, and weights name it to those who do not have it
+        "textures": None if textures is None else {p.name: file_sha256(p) for p in images_in(Path(textures))},
         "validate": list(validation),
         "start": None if model is None else state_sha256(model.state_dict()),
     }
@@ -444,9 +447,13 @@ def _check_same_run(out: Path, before: Mapping[str, Any], asked: dict[str, Any])
     differing = min((_differing(*(_settled(run, parts) for run in runs)) for parts in (True, False)), key=len)
     for key, (value, wanted) in differing.items():
         raise ConfigError(
-            f"{str(out)!r} was started with {key} {value!r}, not {wanted!r}; resume it with the same, or choose "
-            "another --out"
+            f"{str(out)!r} was started with {key} {_brief(value)}, not {_brief(wanted)}; resume it with the same, or "
+            "choose another --out"
         )
+
+
+def _brief(value: Any) -> str:
+    return shorten(repr(value), 200, placeholder=" ..")
 
 
 def _check_checkpoint(path: Path, steps: int, minutes: float | None) -> None:

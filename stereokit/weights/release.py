@@ -29,6 +29,7 @@ def release(
     *,
     results: Mapping[str, Any],
     mean_with: str | None = None,
+    command: str | None = None,
     licence: str = "Apache-2.0",
 ) -> Manifest:
     """Writes `model.safetensors` in float16, and `manifest.json`.
@@ -40,6 +41,7 @@ def release(
         results: measured errors, with the command that measures them.
         mean_with: weights of the same network, such as those that the training began from: what is written is the mean
             of both.
+        command: what does the training again, in place of the recorded one with its folders of one machine.
         licence: of the weights, as an SPDX identifier.
 
     Raises:
@@ -56,6 +58,8 @@ def release(
         training = json.loads(record.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise CheckpointError(f"{str(record)!r}, the record of the training, can't be read: {error}") from error
+    if command is not None:
+        training["command"] = command
     kind = model.config["name"]
     if not name.startswith(f"{kind}.") or not name.removeprefix(f"{kind}."):
         raise ConfigError(f"weights of a {kind} are named {kind}.TAG, not {name!r}")
@@ -115,6 +119,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", required=True, help="new folder")
     parser.add_argument("--results", required=True, help="JSON file of measured errors")
     parser.add_argument("--mean-with", metavar="NAME", help="write the mean of the network's weights and these")
+    parser.add_argument(
+        "--command", help="what does the training again, in place of the recorded one with its folders of one machine"
+    )
     parser.add_argument("--licence", default="Apache-2.0", help="(default: %(default)s)")
     options = parser.parse_args(arguments)
     try:
@@ -125,6 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.out,
             results=results,
             mean_with=options.mean_with,
+            command=options.command,
             licence=options.licence,
         )
     except (OSError, ValueError, StereoKitError) as error:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from lightning.pytorch import Trainer
@@ -16,12 +17,13 @@ from torch import nn
 
 from stereokit.builder import build_model
 from stereokit.cli import main
+from stereokit.data.images import write_image
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.data.synthetic.command import write_scenes
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inference import Predictor
 from stereokit.model import StereoModel
-from stereokit.provenance import state_sha256
+from stereokit.provenance import file_sha256, state_sha256
 from stereokit.training import StereoTraining, TrainingSamples, train, with_length
 from stereokit.training.data import StereoData
 from stereokit.training.module import TrainingError
@@ -298,6 +300,20 @@ def test_a_run_from_before_a_setting_existed_is_resumed(tmp_path):
     with pytest.raises(ConfigError, match="was started with loss"):
         train(with_length(replace(TINY, loss=Loss(cross_entropy=1)), steps=2), tmp_path, resume=True, **CPU)
     assert train(with_length(TINY, steps=2), tmp_path, resume=True, **CPU).record["steps"] == 2
+
+
+def test_photographs_are_known_by_their_content(tmp_path):
+    photographs = tmp_path / "photographs"
+    photographs.mkdir()
+    write_image(photographs / "brick.png", np.full((40, 40, 3), 90, np.uint8))
+    recipe = with_length(TINY, steps=1)
+    record = train(recipe, tmp_path / "run", textures=photographs, **CPU).record
+    assert record["textures"] == {"brick.png": file_sha256(photographs / "brick.png")}
+    moved = photographs.rename(tmp_path / "moved")
+    assert train(with_length(TINY, steps=2), tmp_path / "run", textures=moved, resume=True, **CPU).record["steps"] == 2
+    write_image(moved / "brick.png", np.full((40, 40, 3), 91, np.uint8), overwrite=True)
+    with pytest.raises(ConfigError, match=r"was started with textures {'brick.png': "):
+        train(with_length(TINY, steps=3), tmp_path / "run", textures=moved, resume=True, **CPU)
 
 
 def test_settings_that_do_not_go_together(tmp_path):

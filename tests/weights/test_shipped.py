@@ -144,13 +144,15 @@ def test_damage_is_noticed(registered):
         load_weights("coex.mine")
 
 
-def test_a_release_holds_halves_and_the_record(mine):
+def test_a_release_holds_halves_and_the_record(mine, tmp_path):
     state = load_file(mine / "coex.mine" / "model.safetensors")
     assert {value.dtype for value in state.values()} == {torch.float16, torch.int64}
     manifest = json.loads((mine / "coex.mine" / "manifest.json").read_text())
     assert manifest["training"] == {"recipe": {"name": "none"}, "seed": 0}
     assert manifest["results"] == {"bad_3": 99.0}
     assert manifest["precision"] == "float16"
+    again = release(mine / "network", "coex.again", tmp_path / "again", results={}, command="stereokit train")
+    assert again["training"] == {**manifest["training"], "command": "stereokit train"}
 
 
 def test_a_release_tells_what_its_training_began_with(registered, tmp_path):

@@ -28,6 +28,7 @@ class DatasetReport:
         highest: the largest.
         sparsest: name and density of the pair with the least known disparity.
         broken: name and error of each pair that can't be read.
+        passed_over: folders of images that make no pair of the kind.
     """
 
     name: str
@@ -43,6 +44,7 @@ class DatasetReport:
     highest: float | None = None
     sparsest: tuple[str, float] | None = None
     broken: list[tuple[str, str]] = field(default_factory=list)
+    passed_over: tuple[str, ...] = ()
 
     @property
     def density(self) -> float | None:
@@ -91,7 +93,8 @@ def check_dataset(
     >>> report.pairs, len(report.broken)
     (1, 1)
     """
-    report = DatasetReport(f"{dataset.kind}, split {dataset.split!r}, in {str(dataset.root)!r}")
+    name = f"{dataset.kind}, split {dataset.split!r}, in {str(dataset.root)!r}"
+    report = DatasetReport(name, passed_over=dataset.passed_over)
     for entry in progress(dataset.entries):
         report.pairs += 1
         try:
@@ -127,6 +130,8 @@ def format_report(report: DatasetReport, *, most: int = 20) -> str:
     lines += [f"    {name}: {message}" for name, message in report.broken[:most]]
     if len(report.broken) > most:
         lines.append(f"    and {len(report.broken) - most} more")
+    if report.passed_over:
+        lines.append(f"  passed over       {_shortened(list(report.passed_over), most)}: no files of the kind")
     return "\n".join(lines)
 
 

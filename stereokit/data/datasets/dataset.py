@@ -158,13 +158,17 @@ class StereoDataset(Sequence[StereoSample]):
         root: the folder or file that it was opened with.
         split: which part of it this is.
         entries: where the pairs lie.
+        passed_over: folders that hold images, and that the kind can make no pair of.
     """
 
-    def __init__(self, kind: str, root: Path, split: str, entries: Sequence[StereoEntry]) -> None:
+    def __init__(
+        self, kind: str, root: Path, split: str, entries: Sequence[StereoEntry], *, passed_over: Sequence[str] = ()
+    ) -> None:
         self.kind = kind
         self.root = root
         self.split = split
         self.entries = tuple(entries)
+        self.passed_over = tuple(passed_over)
 
     def __len__(self) -> int:
         return len(self.entries)

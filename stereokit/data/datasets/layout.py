@@ -10,6 +10,7 @@ from stereokit.data.images import IMAGE_SUFFIXES
 from stereokit.errors import InputError
 
 __all__ = [
+    "NoPairs",
     "check_choice",
     "check_number",
     "first_folder",
@@ -18,6 +19,10 @@ __all__ = [
     "list_folder",
     "make_dataset",
 ]
+
+
+class NoPairs(InputError):
+    """A place where no pair of the kind lies."""
 
 
 def check_choice(what: str, given: str, allowed: Sequence[str]) -> str:
@@ -73,6 +78,7 @@ def make_dataset(
     *,
     expected: Sequence[str],
     filled: Sequence[str] = (),
+    passed_over: Sequence[str] = (),
 ) -> StereoDataset:
     """The data set of these entries.
 
@@ -83,10 +89,11 @@ def make_dataset(
         entries: that were found.
         expected: files of the kind, for the message where none were found.
         filled: the splits that have pairs in the same files, where the kind shares them out by rule.
+        passed_over: see `StereoDataset`.
 
     Raises:
-        InputError: there are none, and the message shows the tree that was expected and the one that was
-            found; or two have one name.
+        NoPairs: there are none, and the message shows the tree that was expected and the one that was found.
+        InputError: two have one name, or the pairs are all of other splits.
     """
     if not entries and filled:
         raise InputError(
@@ -94,14 +101,14 @@ def make_dataset(
             f"{' or '.join(map(repr, filled))}"
         )
     if not entries:
-        raise InputError(
+        raise NoPairs(
             f"no pairs of {kind}, split {split!r}, in {os.fspath(root)!r}: "
             f"expected {' or '.join(expected)}; found {_describe(root)}"
         )
     name, count = Counter(entry.name for entry in entries).most_common(1)[0]
     if count > 1:
         raise InputError(f"{count} pairs of {kind} in {os.fspath(root)!r} have the name {name!r}; expected one")
-    return StereoDataset(kind, root, split, entries)
+    return StereoDataset(kind, root, split, entries, passed_over=passed_over)
 
 
 def _describe(root: Path) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from stereokit.data.calibration import read_middlebury_calibration
 from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDataset, StereoEntry
-from stereokit.data.datasets.layout import check_choice, check_number, list_folder, make_dataset
+from stereokit.data.datasets.layout import check_choice, check_number, images_in, list_folder, make_dataset
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_png import read_scaled_png
 from stereokit.data.images import read_file_bytes, read_image_size, read_samples
@@ -121,9 +121,13 @@ def middlebury_older(root: PathLike, *, split: str = "all", scale: float | None 
         root,
         *(path for pattern in ("*", "*/*", "*/*/*") for path in sorted(root.glob(pattern)) if path.is_dir()),
     ]
-    entries = [entry for folder in folders if (entry := _older_entry(root, folder, factor))]
+    found = {folder: _older_entry(root, folder, factor) for folder in folders}
+    entries = [entry for entry in found.values() if entry]
+    passed_over = [
+        folder.relative_to(root).as_posix() for folder, entry in found.items() if not entry and images_in(folder)
+    ]
     expected = ["a folder with view1.png, view5.png, disp1.png", "im2, im6, disp2", "imL, imR, groundtruth"]
-    return make_dataset("middlebury_older", root, split, entries, expected=expected)
+    return make_dataset("middlebury_older", root, split, entries, expected=expected, passed_over=passed_over)
 
 
 def read_nonocc_mask(path: Path) -> Mask:

@@ -4,7 +4,8 @@ import os
 from typing import Any
 
 from stereokit.data.datasets.dataset import DATASETS, StereoDataset
-from stereokit.errors import InputError
+from stereokit.data.datasets.layout import NoPairs
+from stereokit.errors import InputError, StereoKitError
 
 __all__ = ["open_dataset"]
 
@@ -49,7 +50,13 @@ def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = F
         options[key] = value
     if slash or split is not None:
         options["split"] = given_split if slash else split
-    dataset: StereoDataset = DATASETS.build(kind, {"root": root, **options})
+    try:
+        dataset: StereoDataset = DATASETS.build(kind, {"root": root, **options})
+    except NoPairs as error:
+        others = [name for name in DATASETS.names() if name != kind and _opens(name, root)]
+        if not others:
+            raise
+        raise InputError(f"{error}; it can be opened as {' or '.join(others)}") from error
     missing = [] if allow_missing else dataset.missing_files()
     if missing:
         base = dataset.root if dataset.root.is_dir() else dataset.root.parent
@@ -58,3 +65,10 @@ def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = F
             f"the first is {os.path.relpath(missing[0], base)!r}"
         )
     return dataset
+
+
+def _opens(kind: str, root: str) -> bool:
+    try:
+        return bool(DATASETS.build(kind, {"root": root}))
+    except StereoKitError:
+        return False

@@ -3,6 +3,7 @@ import shutil
 import numpy as np
 import pytest
 
+from stereokit.data.datasets import check_dataset, format_report
 from stereokit.data.datasets.middlebury import middlebury2014, middlebury_older, middlebury_v3
 from stereokit.errors import InputError
 from tests.data.datasets import trees
@@ -132,6 +133,16 @@ def test_older_masks_and_info(tmp_path):
         middlebury_older(tmp_path)[0]
     with pytest.raises(InputError, match="scale must be a number, got 'ten'"):
         middlebury_older(tmp_path, scale="ten")
+
+
+def test_older_folders_that_make_no_pair_are_named(tmp_path):
+    older(tmp_path / "venus", ("im2", "im6", "disp2"), 8)
+    trees.save_pair(tmp_path / "mine" / "left.png", tmp_path / "mine" / "right.png", 0)
+    (tmp_path / "notes").mkdir()
+    dataset = middlebury_older(tmp_path)
+    assert (len(dataset), dataset.passed_over) == (1, ("mine",))
+    assert "passed over       mine" in format_report(check_dataset(dataset))
+    assert "passed over" not in format_report(check_dataset(middlebury_older(tmp_path / "venus")))
 
 
 def test_older_missing_view(tmp_path):

@@ -48,6 +48,12 @@ def test_what_can_not_be_opened(spec, error, message):
         open_dataset(spec)
 
 
+def test_a_place_of_another_kind_says_of_which(tmp_path):
+    trees.kitti2012(tmp_path)
+    with pytest.raises(InputError, match=r"expected training/image_2/.*; it can be opened as kitti2012$"):
+        open_dataset(f"kitti2015:{tmp_path}")
+
+
 @pytest.mark.parametrize("part", ["image_0", "image_1", "disp_occ", "disp_noc", "calib"])
 def test_files_that_are_missing(tmp_path, part):
     trees.kitti2012(tmp_path)
