@@ -2,6 +2,7 @@
 
 import json
 import logging
+import signal
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -294,6 +295,7 @@ def train(
         validation=validation_sets,
         workers=usual_workers(trainer.num_devices) if workers is None else workers,
     )
+    interruption = signal.getsignal(signal.SIGINT)
     try:
         with _without_noise(), _in_one_line(), running_out_as(f"{recipe.name}: {TOO_MUCH_MEMORY}"):
             trainer.fit(training, loaders, ckpt_path=str(last) if goes_on else None, weights_only=True)
@@ -307,6 +309,8 @@ def train(
     except SystemExit as error:
         # what Lightning makes of Ctrl-C
         if isinstance(error.__context__, KeyboardInterrupt):
+            # which it has switched off, for good
+            signal.signal(signal.SIGINT, interruption)
             raise KeyboardInterrupt from None
         raise
     network.cpu().eval()

@@ -246,7 +246,7 @@ def test_an_interruption_stays_one(tmp_path, monkeypatch):
     handler = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         train(TINY, tmp_path, **CPU)
-    signal.signal(signal.SIGINT, handler)
+    assert signal.getsignal(signal.SIGINT) is handler
 
 
 def test_validation_pairs_without_truth_that_counts_do_not_end_a_run(tmp_path):
