@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stereokit.data.synthetic.scene import Layer, Scene
+from stereokit.data.synthetic.patterns import TILE
+from stereokit.data.synthetic.scene import Layer, Reflection, Scene
 from stereokit.data.synthetic.shapes import Blob, Box, Ellipse, Lattice, Polygon, Shape, Wire
 from stereokit.data.synthetic.surfaces import Surface, Wave
 from stereokit.data.synthetic.textures import Ground, TextureBank
@@ -33,6 +34,9 @@ class Composition:
             0 gives all scenes the same, more makes most scenes far as a whole.
         objects: fewest and most things a scene has besides its walls, ground and sky.
         thin: how many of them are bars, wires, lattices or plants.
+        alike: how many surfaces have the texture of another one, before which they hardly stand out.
+        shaded: how many surfaces are lit unevenly or lie in part in shadow.
+        glossy: how many surfaces mirror something, which moves between the views by another disparity than their own.
 
     Raises:
         ConfigError: a size below 32 x 32, or values out of range.
@@ -44,6 +48,9 @@ class Composition:
     range_exponent: float = 0.0
     objects: tuple[int, int] = (3, 13)
     thin: float = 0.3
+    alike: float = 0.0
+    shaded: float = 0.0
+    glossy: float = 0.0
 
     def __post_init__(self) -> None:
         height, width = self.size
@@ -53,8 +60,11 @@ class Composition:
             raise ConfigError(
                 f"max_disparity must lie from {_SMALLEST_RANGE:g} to the width {width}, got {self.max_disparity}"
             )
-        if not (self.disparity_exponent > 0 and 0 <= self.thin <= 1):
-            raise ConfigError("disparity_exponent must be positive, and thin a part from 0 to 1")
+        if not self.disparity_exponent > 0:
+            raise ConfigError(f"disparity_exponent must be positive, got {self.disparity_exponent}")
+        for name in ("thin", "alike", "shaded", "glossy"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"{name} must be a part from 0 to 1, got {getattr(self, name)}")
         if not self.range_exponent >= 0:
             raise ConfigError(f"range_exponent must be at least 0, got {self.range_exponent}")
         if not 0 <= self.objects[0] <= self.objects[1]:
@@ -71,7 +81,24 @@ class Composition:
         for _ in range(int(rng.integers(self.objects[0], self.objects[1] + 1))):
             things += self._thing(rng, bank, backdrop)
         things.sort(key=lambda layer: layer.surface.disparity)
-        return Scene(self.size, (*backdrop, *things))
+        layers = [*backdrop, *things]
+        return Scene(self.size, tuple(self._finished(rng, bank, layer, layers) for layer in layers))
+
+    def _finished(self, rng: Generator, bank: TextureBank, layer: Layer, layers: list[Layer]) -> Layer:
+        """The layer in the light of the scene, the sky as it is. What is not asked for draws nothing from `rng`."""
+        if layer.shape is None and layer.surface.slope == (0.0, 0.0) and layer.surface.disparity < 1:
+            return layer
+        if self.alike and rng.random() < self.alike:
+            other = layers[rng.integers(len(layers))].texture
+            origin = float(rng.uniform(0, TILE)), float(rng.uniform(0, TILE))
+            layer = replace(layer, texture=replace(other, origin=origin, ground=layer.texture.ground))
+        if self.shaded and rng.random() < self.shaded:
+            layer = replace(layer, shade=bank.shade(rng))
+        if self.glossy and rng.random() < self.glossy:
+            disparity = float(layer.surface.disparity * rng.uniform(0, 0.9))
+            strength = math.exp(rng.uniform(math.log(0.08), math.log(0.5)))
+            layer = replace(layer, reflection=Reflection(bank.texture(rng, plain=0.0), disparity, strength))
+        return layer
 
     def fitted(self, surface: Surface, half_width: float, half_height: float) -> Surface:
         """The surface with its relief flattened until disparity stays within bounds."""

@@ -31,6 +31,9 @@ class SyntheticScenes:
             `Composition`.
         objects: fewest and most things in a scene, besides its walls, ground and sky.
         thin: the part of them that is thin: bars, wires, lattices, plants.
+        alike: the part of the surfaces that has the texture of another one.
+        shaded: the part of the surfaces that is lit unevenly or lies in part in shadow.
+        glossy: the part of the surfaces that mirrors something, which moves between the views by another disparity.
         plain: how often surfaces have next to no texture: 1 as often as is usual, 0 never.
         photometric: strength of the differences between the cameras (gain, gamma, colour, vignetting, blur, noise, rows
             a little apart); 0 has none.
@@ -57,6 +60,9 @@ class SyntheticScenes:
         range_exponent: float = 0.0,
         objects: tuple[int, int] = (3, 13),
         thin: float = 0.3,
+        alike: float = 0.0,
+        shaded: float = 0.0,
+        glossy: float = 0.0,
         plain: float = 1.0,
         photometric: float = 1.0,
         textures: "PathLike | None" = None,
@@ -74,6 +80,9 @@ class SyntheticScenes:
             range_exponent=range_exponent,
             objects=objects,
             thin=thin,
+            alike=alike,
+            shaded=shaded,
+            glossy=glossy,
         )
         self.seed = seed
         self._count = count

@@ -58,7 +58,7 @@ def _draw(layer: Layer, view: View, image: Image, disparity: Array) -> None:
     else:
         inside = front & (outside < 0)
         edge = np.nonzero(front & (np.abs(outside) < 0.5))
-    colours = layer.texture.colours(u, v, nearer)
+    colours = layer.colours(x, u, v, nearer, view)
     if outside is not None:
         covered = (np.float32(0.5) - outside[edge])[:, None]
         behind = canvas[edge]

@@ -3,19 +3,35 @@
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+import cv2
 import numpy as np
 
 from stereokit.data.datasets.dataset import Mask
 from stereokit.data.synthetic.shapes import Shape
 from stereokit.data.synthetic.surfaces import Array, Surface
-from stereokit.data.synthetic.textures import Texture
+from stereokit.data.synthetic.textures import Image, Texture
 from stereokit.errors import InputError
 
-__all__ = ["Layer", "Scene", "View", "hidden"]
+__all__ = ["Layer", "Reflection", "Scene", "View", "hidden"]
 
 View: TypeAlias = Literal["left", "right"]
 
 _SAME_SURFACE = 0.01  # pixels of disparity
+
+
+@dataclass(frozen=True, eq=False)
+class Reflection:
+    """What a glossy surface mirrors: it seems to lie behind the surface, and has a disparity of its own.
+
+    Attributes:
+        texture: its colours.
+        disparity: in pixels, the same all over.
+        strength: its part in what is seen, from 0 to 1.
+    """
+
+    texture: Texture
+    disparity: float
+    strength: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +42,15 @@ class Layer:
         surface: its geometry.
         texture: its colours.
         shape: its outline around the surface's centre; None where it has no end.
+        shade: brightness of the light that falls on it, as greys; None where that is even.
+        reflection: what it mirrors; None where it is dull.
     """
 
     surface: Surface
     texture: Texture
     shape: Shape | None = None
+    shade: Texture | None = None
+    reflection: Reflection | None = None
 
     def seen(self, x: Array, v: Array, view: View) -> tuple[Array, Array, Array | None]:
         """What a view sees of the layer alone at columns x (rows, columns) and rows v (rows, 1).
@@ -47,6 +67,22 @@ class Layer:
             return u, disparity, None
         u0, v0 = self.surface.centre
         return u, disparity, self.shape.distance(u - np.float32(u0), v - np.float32(v0))
+
+    def colours(self, x: Array, u: Array, v: Array, disparity: Array, view: View) -> Image:
+        """The colours (rows, columns, 3) that a view sees at its columns x, see `seen` for the others.
+
+        All but reflections is fixed to the surface, and so the same from both views.
+        """
+        colours = self.texture.colours(u, v, disparity)
+        if self.shade is not None:
+            brightness = self.shade.colours(u, v, disparity)
+            colours = np.asarray(cv2.multiply(colours, brightness, scale=1 / 255), np.uint8)
+        if self.reflection is not None:
+            mirrored, strength = self.reflection.texture, self.reflection.strength
+            far = np.full_like(disparity, self.reflection.disparity)
+            seen = mirrored.colours(x if view == "left" else x + far, v, far)
+            colours = np.asarray(cv2.addWeighted(colours, 1 - strength, seen, strength, 0), np.uint8)
+        return colours
 
     def window(self, view: View, size: tuple[int, int], reach: tuple[float, float] = (0.0, 0.0)) -> tuple[slice, slice]:
         """Rows and columns of a view outside of which the layer is not seen.

@@ -205,13 +205,22 @@ class TextureBank:
         haze = np.clip(top + rng.uniform(0.0, 0.4), 0, 1)
         strength = rng.choice((0.0, rng.uniform(0.02, 0.2), rng.uniform(0.2, 1.0)), p=(0.3, 0.35, 0.35))
         palette = _blend([haze, haze + strength * (top - haze)], np.array([0.0, 1.0]))
-        return Texture(
-            tile,
-            palette,
-            float(rng.uniform(0, math.pi)),
-            0.15,
-            (float(rng.uniform(0, TILE)), float(rng.uniform(0, TILE))),
-        )
+        return _laid(rng, tile, palette, texels=0.15)
+
+    def shade(self, rng: np.random.Generator) -> Texture:
+        """Brightness, in greys: it changes slowly, as on a bent surface, or at once, as at the edge of a shadow."""
+        tile = self.tiles[rng.integers(len(self.tiles))]
+        dark = rng.uniform(0.25, 0.85)
+        half = 0.5 if rng.random() < 0.5 else math.exp(rng.uniform(math.log(0.02), math.log(0.2)))
+        middle = rng.uniform(half, 1 - half)
+        brightness = np.interp(np.linspace(0, 1, 256), (middle - half, middle + half), (dark, 1.0))
+        palette = to_uint8(np.repeat(brightness[:, None], 3, axis=1))
+        return _laid(rng, tile, palette, texels=math.exp(rng.uniform(math.log(0.1), math.log(1.0))))
+
+
+def _laid(rng: np.random.Generator, tile: Pyramid, palette: Image, *, texels: float) -> Texture:
+    turn = float(rng.uniform(0, math.pi))
+    return Texture(tile, palette, turn, texels, (float(rng.uniform(0, TILE)), float(rng.uniform(0, TILE))))
 
 
 def random_palette(rng: np.random.Generator, contrast: float) -> Image:

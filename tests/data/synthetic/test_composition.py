@@ -72,10 +72,58 @@ def test_number_and_kind_of_things(bank):
         ({"max_disparity": 600}, "from 4 to the width 512, got 600"),
         ({"disparity_exponent": 0}, "disparity_exponent must be positive"),
         ({"range_exponent": -1.0}, "range_exponent must be at least 0, got -1"),
-        ({"thin": 1.5}, "thin a part from 0 to 1"),
+        ({"thin": 1.5}, "thin must be a part from 0 to 1, got 1.5"),
+        ({"glossy": -0.1}, "glossy must be a part from 0 to 1, got -0.1"),
         ({"objects": (5, 2)}, "fewest and the most"),
     ],
 )
 def test_wrong_settings(options, message):
     with pytest.raises(ConfigError, match=message):
         Composition(**options)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_light_leaves_the_geometry(bank, seed):
+    plain, lit = (
+        Composition(size=(48, 128), range_exponent=1.0, **light).scene(np.random.default_rng(seed), bank)
+        for light in ({}, {"alike": 0.5, "shaded": 0.5, "glossy": 0.5})
+    )
+    assert [(layer.surface, layer.shape) for layer in lit.layers] == [
+        (layer.surface, layer.shape) for layer in plain.layers
+    ]
+    assert not any(layer.shade or layer.reflection for layer in plain.layers)
+
+
+def test_all_but_the_sky_may_be_lit_or_alike(bank):
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        plain = Composition(size=(48, 96)).scene(np.random.default_rng(seed), bank)
+        lit = Composition(size=(48, 96), alike=1, shaded=1, glossy=1).scene(rng, bank)
+        palettes = [layer.texture.palette.tobytes() for layer in plain.layers]
+        for before, layer in zip(plain.layers, lit.layers, strict=True):
+            sky = layer.shape is None and layer.surface.slope == (0, 0) and layer.surface.disparity < 1
+            assert (layer.shade is None) == (layer.reflection is None) == sky
+            assert layer.texture.palette.tobytes() in palettes
+            assert layer.texture.ground == before.texture.ground
+            if sky:
+                assert (
+                    layer.texture.palette is before.texture.palette
+                    or (layer.texture.palette == before.texture.palette).all()
+                )
+            else:
+                assert 0 <= layer.reflection.disparity <= max(0.9 * layer.surface.disparity, 0)
+                assert 0 < layer.reflection.strength <= 0.5
+
+
+def test_shades_are_grey_and_never_black(bank):
+    rng = np.random.default_rng(0)
+    lows = []
+    for _ in range(50):
+        palette = bank.shade(rng).palette
+        assert (palette == palette[:, :1]).all()
+        assert (np.diff(palette[:, 0].astype(int)) >= 0).all()
+        assert palette[-1, 0] == 255
+        lows.append(palette[0, 0])
+    assert min(lows) >= 60
+    assert max(lows) - min(lows) > 60

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from stereokit.data.augmentation import flip_and_swap
+from stereokit.data.synthetic import SyntheticScenes
 from stereokit.data.synthetic.composition import Composition
 from stereokit.data.synthetic.patterns import PATTERNS
 from stereokit.data.synthetic.render import render_view
-from stereokit.data.synthetic.scene import Layer, Scene
+from stereokit.data.synthetic.scene import Layer, Reflection, Scene
 from stereokit.data.synthetic.shapes import Box
 from stereokit.data.synthetic.surfaces import Surface, Wave
 from stereokit.errors import InputError
@@ -92,6 +93,37 @@ def test_left_and_right_truth_agree(scenes, index):
         hidden = ~sample.nonocc & (match > 0) & (match < 191)
         # before a hidden pixel stands something nearer
         assert (np.max(beside, axis=0) > sample.disparity)[hidden].mean() > 0.97
+
+
+@pytest.mark.parametrize("index", range(6))
+def test_warping_holds_under_shadows_and_among_likes(index):
+    options = {"seed": 3, "size": (96, 192), "max_disparity": 48, "photometric": 0}
+    test_warping_the_right_view_gives_the_left_one(SyntheticScenes(**options, shaded=1, alike=0.5), index)
+
+
+def test_shade_darkens_what_both_views_see(bank):
+    surface = SMOOTH["plane"]
+    bright = Layer(surface, soft(bank))
+    half = np.full((256, 3), 128, np.uint8)
+    dim = replace(bright, shade=replace(soft(bank, 1), palette=half))
+    for view in ("left", "right"):
+        full = render_view(Scene((64, 128), (bright,)), view).image.astype(float)
+        shaded = render_view(Scene((64, 128), (dim,)), view).image
+        np.testing.assert_allclose(shaded, full * 128 / 255, atol=0.51)
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.0])
+def test_reflections_move_by_their_own_disparity(bank, strength):
+    dull = Layer(Surface((64.0, 32.0), 12.0), soft(bank))
+    glossy = replace(dull, reflection=Reflection(soft(bank, 1), 4.0, strength))
+    left, right = (render_view(Scene((64, 128), (glossy,)), view) for view in ("left", "right"))
+    moves = 4 if strength else 12
+    np.testing.assert_array_equal(left.image[:, moves:], right.image[:, :-moves])
+    for view, seen in (("left", left), ("right", right)):
+        alone = render_view(Scene((64, 128), (dull,)), view)
+        np.testing.assert_array_equal(seen.disparity, alone.disparity)
+        np.testing.assert_array_equal(seen.nonocc, alone.nonocc)
+        assert (seen.image == alone.image).all() == (strength == 0)
 
 
 def splatted(scene, view, fine=8):
