@@ -165,8 +165,11 @@ def _parser() -> argparse.ArgumentParser:
     synth.add_argument("--count", type=int, required=True, help="number of pairs")
     synth.add_argument("--out", required=True, help="folder for them")
     synth.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
-    synth.add_argument("--size", nargs=2, type=int, default=(256, 512), metavar=("HEIGHT", "WIDTH"))
-    synth.add_argument("--max-disparity", type=float, default=96.0, help="in pixels (default: %(default)s)")
+    synth.add_argument("--recipe", help="scenes as this one of stereokit train renders them, such as synthetic")
+    synth.add_argument(
+        "--size", nargs=2, type=int, metavar=("HEIGHT", "WIDTH"), help="(default: 256 512, or the recipe's)"
+    )
+    synth.add_argument("--max-disparity", type=float, help="in pixels (default: 96, or the recipe's)")
     synth.add_argument("--textures", metavar="DIR", help="folder of photographs to use besides procedural textures")
     synth.add_argument("--split", choices=("test", "train"), default="test", help="(default: %(default)s)")
     synth.set_defaults(run=run_synth)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from stereokit.data.augmentation import Augmentation
+from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import ConfigError
 from stereokit.registry import suggest
 
@@ -180,6 +181,27 @@ class Recipe:
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as `from_dict` takes them; JSON keeps them."""
         return {key: _plain(value) for key, value in asdict(self).items()}
+
+    def rendered_scenes(self, **settings: Any) -> SyntheticScenes:
+        """The scenes of the recipe, as it renders them to train on.
+
+        Args:
+            settings: of `SyntheticScenes`, such as seed and textures; they go before the recipe's.
+
+        Raises:
+            ConfigError: the recipe is for files, or a setting is unknown or out of range.
+            InputError: the textures can't be read.
+
+        >>> load_recipe("synthetic").rendered_scenes(seed=3, size=(64, 128))[0].left.shape
+        (64, 128, 3)
+        """
+        if self.scenes is None:
+            raise ConfigError(f"recipe {self.name!r} renders no scenes: it trains on {self.data or 'files'}")
+        own = {key: tuple(value) if isinstance(value, list) else value for key, value in self.scenes.items()}
+        try:
+            return SyntheticScenes(**{**own, **settings})
+        except TypeError as error:
+            raise ConfigError(f"recipe {self.name!r}, [scenes]: {error}") from error
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], name: str | None = None) -> "Recipe":

@@ -24,7 +24,6 @@ from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.data.datasets import open_dataset
 from stereokit.data.datasets.dataset import StereoDataset, StereoSample
 from stereokit.data.datasets.layout import images_in
-from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.memory import running_out_as
 from stereokit.model import StereoModel
@@ -368,17 +367,11 @@ def _open(
         name = spec.partition(":")[0].partition(",")[0]
         sets[name if name not in sets else f"{name}_{len(sets)}"] = _open_known(spec)
     if rendered:
-        settings: dict[str, Any] = {
-            key: tuple(v) if isinstance(v, list) else v for key, v in (recipe.scenes or {}).items()
-        }
-        try:
-            datasets = [SyntheticScenes(**settings, seed=seed, textures=textures)]
-            if not sets:
-                sets["synthetic"] = SyntheticScenes(
-                    **{**settings, "count": VALIDATION_SCENES}, seed=seed + VALIDATION_SEED, textures=textures
-                )
-        except TypeError as error:
-            raise ConfigError(f"recipe {recipe.name!r}, [scenes]: {error}") from error
+        datasets = [recipe.rendered_scenes(seed=seed, textures=textures)]
+        if not sets:
+            sets["synthetic"] = recipe.rendered_scenes(
+                seed=seed + VALIDATION_SEED, textures=textures, count=VALIDATION_SCENES
+            )
     return TrainingSamples(datasets, recipe.augmentation, seed=seed), sets
 
 

@@ -13,6 +13,7 @@ from stereokit.data.images import write_image
 from stereokit.data.pfm import write_pfm
 from stereokit.data.synthetic.dataset import SyntheticScenes
 from stereokit.errors import InputError
+from stereokit.training.recipe import load_recipe
 from stereokit.wording import counted
 
 __all__ = ["run_synth", "write_scenes"]
@@ -69,13 +70,10 @@ def write_scenes(
 
 def run_synth(options: argparse.Namespace) -> None:
     """The command, with the options that `stereokit synth --help` lists."""
-    scenes = SyntheticScenes(
-        seed=options.seed,
-        size=tuple(options.size),
-        max_disparity=options.max_disparity,
-        textures=options.textures,
-        count=options.count,
-    )
+    chosen = {"size": options.size and tuple(options.size), "max_disparity": options.max_disparity}
+    settings = {name: value for name, value in chosen.items() if value is not None}
+    render = SyntheticScenes if options.recipe is None else load_recipe(options.recipe).rendered_scenes
+    scenes = render(seed=options.seed, textures=options.textures, count=options.count, **settings)
     write_scenes(scenes, options.out, split=options.split, progress=lambda numbers: tqdm(numbers, unit="pair"))
     kind = "sceneflow" if options.split == "test" else "sceneflow/train"
     print(f"wrote {counted(len(scenes), 'pair')}; to be read as {kind}:{options.out}")

@@ -6,6 +6,7 @@ from stereokit.data.datasets import open_dataset
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.data.synthetic.command import write_scenes
 from stereokit.errors import InputError
+from stereokit.training import load_recipe
 
 OPTIONS = ["--count", "3", "--seed", "3", "--size", "40", "64", "--max-disparity", "16"]
 
@@ -19,6 +20,20 @@ def test_what_is_written_is_read_back(tmp_path, capsys):
     for read, drawn in zip(dataset, scenes, strict=True):
         for part in ("left", "right", "disparity", "right_disparity"):
             np.testing.assert_array_equal(getattr(read, part), getattr(drawn, part))
+
+
+def test_scenes_of_a_recipe(tmp_path, capsys):
+    recipe = load_recipe("synthetic-finetune")
+    options = ["synth", "--count", "1", "--recipe", recipe.name, "--seed", "3"]
+    assert main([*options, "--out", str(tmp_path / "own")]) == 0
+    own = open_dataset(f"sceneflow:{tmp_path / 'own'}")[0]
+    assert own.left.shape == (320, 640, 3)
+    np.testing.assert_array_equal(own.left, recipe.rendered_scenes(seed=3)[0].left)
+    assert main([*options, "--size", "48", "160", "--out", str(tmp_path / "small")]) == 0
+    small = open_dataset(f"sceneflow:{tmp_path / 'small'}")[0]
+    np.testing.assert_array_equal(small.left, recipe.rendered_scenes(seed=3, size=(48, 160))[0].left)
+    assert main(["synth", "--count", "1", "--recipe", "sceneflow", "--out", str(tmp_path / "none")]) == 2
+    assert "'sceneflow' renders no scenes: it trains on sceneflow/train:ROOT" in capsys.readouterr().err
 
 
 def test_splits_and_long_sequences(tmp_path, capsys):
