@@ -85,16 +85,16 @@ class Composition:
         return Scene(self.size, tuple(self._finished(rng, bank, layer, layers) for layer in layers))
 
     def _finished(self, rng: Generator, bank: TextureBank, layer: Layer, layers: list[Layer]) -> Layer:
-        """The layer in the light of the scene, the sky as it is. What is not asked for draws nothing from `rng`."""
+        """The layer in the light of the scene, the sky as it is. Geometry is drawn before, and so the same in any light."""
         if layer.shape is None and layer.surface.slope == (0.0, 0.0) and layer.surface.disparity < 1:
             return layer
-        if self.alike and rng.random() < self.alike:
+        if rng.random() < self.alike:
             other = layers[rng.integers(len(layers))].texture
             origin = float(rng.uniform(0, TILE)), float(rng.uniform(0, TILE))
             layer = replace(layer, texture=replace(other, origin=origin, ground=layer.texture.ground))
-        if self.shaded and rng.random() < self.shaded:
+        if rng.random() < self.shaded:
             layer = replace(layer, shade=bank.shade(rng))
-        if self.glossy and rng.random() < self.glossy:
+        if rng.random() < self.glossy:
             disparity = float(layer.surface.disparity * rng.uniform(0, 0.9))
             strength = math.exp(rng.uniform(math.log(0.08), math.log(0.5)))
             layer = replace(layer, reflection=Reflection(bank.texture(rng, plain=0.0), disparity, strength))
