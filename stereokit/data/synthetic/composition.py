@@ -85,7 +85,7 @@ class Composition:
         return Scene(self.size, tuple(self._finished(rng, bank, layer, layers) for layer in layers))
 
     def _finished(self, rng: Generator, bank: TextureBank, layer: Layer, layers: list[Layer]) -> Layer:
-        """The layer in the light of the scene, the sky as it is. It is drawn behind all geometry, which stays the same."""
+        """The layer in its light, the sky as it is. This is drawn behind all geometry, which stays the same."""
         if layer.shape is None and layer.surface.slope == (0.0, 0.0) and layer.surface.disparity < 1:
             return layer
         if rng.random() < self.alike:
