@@ -178,7 +178,7 @@ class FusedConvolution(nn.Module):
 
     def _transposed(self, x: Tensor) -> Tensor:
         x = x.contiguous(memory_format=self.memory_format)
-        if not calls_onednn(x):
+        if not calls_onednn(x) or (torch.compiler.is_compiling() and not COMPILES_TRANSPOSED):
             conv = F.conv_transpose2d if x.dim() == 4 else F.conv_transpose3d
             y = conv(
                 x, self.weight, self.bias, self.stride, self.padding, self.output_padding, self.groups, self.dilation
@@ -317,5 +317,18 @@ def cpu_has(dtype: torch.dtype) -> bool:
     return dtype == torch.float32 or (dtype in names and bool(getattr(operators, names[dtype])()))
 
 
-# looked up once, so that the compiler sees a constant
+def compiles_transposed() -> bool:
+    """Whether the compiler is told the right size of oneDNN's transposed convolutions: not by PyTorch 2.14."""
+    if not cpu_has(torch.float32):
+        return False
+    x, weight = torch.empty(1, 2, 3, 3, device="meta"), torch.empty(2, 5, 2, 2, device="meta")
+    zeros, ones = [0, 0], [1, 1]
+    size = torch.ops.mkldnn._convolution_transpose_pointwise(
+        x, weight, None, zeros, zeros, ones, ones, 1, NO_ACTIVATION.name, [], ""
+    ).shape
+    return tuple(size) == (1, 5, 4, 4)
+
+
+# looked up once, so that the compiler sees constants
+COMPILES_TRANSPOSED = compiles_transposed()
 ONEDNN_TYPES = frozenset(filter(cpu_has, (torch.float32, torch.bfloat16, torch.float16)))

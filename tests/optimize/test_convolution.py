@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from torch import nn
 from torch.testing import assert_close
 
+from stereokit.optimize import convolution
 from stereokit.optimize.convolution import (
     FusedConvolution,
     fold_batch_norm,
@@ -134,3 +135,17 @@ def test_only_convolutions_as_they_come_are_plain(module, plain):
 def test_single_precision_weights_take_other_images():
     fused = FusedConvolution(nn.Conv2d(2, 3, 3).bfloat16())
     assert fused(torch.rand(1, 2, 5, 5)).dtype == torch.bfloat16
+
+
+@pytest.mark.parametrize("told", [convolution.COMPILES_TRANSPOSED, False])
+@pytest.mark.parametrize("dims", [2, 3])
+def test_transposed_convolutions_have_their_size_in_a_compiled_network(dims, told, monkeypatch):
+    monkeypatch.setattr(convolution, "COMPILES_TRANSPOSED", told)
+    up, after = ((nn.ConvTranspose2d, nn.Conv2d), (nn.ConvTranspose3d, nn.Conv3d))[dims - 2]
+    plain = nn.Sequential(up(16, 24, 4, stride=2, padding=1), nn.ReLU(), after(24, 12, 3))
+    fused = nn.Sequential(
+        FusedConvolution(plain[0], activation=fusable_activation(nn.ReLU())), FusedConvolution(plain[2])
+    )
+    x = torch.randn(1, 16, *[3] * dims)
+    with torch.inference_mode():
+        assert_close(torch.compile(fused, backend="eager")(x), plain(x))
