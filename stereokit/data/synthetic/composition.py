@@ -90,8 +90,8 @@ class Composition:
             return layer
         if rng.random() < self.alike:
             other = layers[rng.integers(len(layers))].texture
-            origin = float(rng.uniform(0, TILE)), float(rng.uniform(0, TILE))
-            layer = replace(layer, texture=replace(other, origin=origin, ground=layer.texture.ground))
+            texture = replace(other, origin=tuple(rng.uniform(0, TILE, 2)), ground=layer.texture.ground)
+            layer = replace(layer, texture=texture)
         if rng.random() < self.shaded:
             layer = replace(layer, shade=bank.shade(rng))
         if rng.random() < self.glossy:

@@ -107,10 +107,7 @@ def test_all_but_the_sky_may_be_lit_or_alike(bank):
             assert layer.texture.palette.tobytes() in palettes
             assert layer.texture.ground == before.texture.ground
             if sky:
-                assert (
-                    layer.texture.palette is before.texture.palette
-                    or (layer.texture.palette == before.texture.palette).all()
-                )
+                np.testing.assert_array_equal(layer.texture.palette, before.texture.palette)
             else:
                 assert 0 <= layer.reflection.disparity <= max(0.9 * layer.surface.disparity, 0)
                 assert 0 < layer.reflection.strength <= 0.5
