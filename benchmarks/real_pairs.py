@@ -3,6 +3,7 @@
     python benchmarks/real_pairs.py --weights coex.synthetic_v6
     python benchmarks/real_pairs.py --weights coex.ckpt --channel-order rgb
     python benchmarks/real_pairs.py --weights coex.synthetic_v6 --precision float32 bfloat16
+    python benchmarks/real_pairs.py --weights coex.synthetic_v6 --scale 1 1.5 2
     python benchmarks/real_pairs.py --weights coex.synthetic_v6 --weights coex_int8.xml
 
 The scenes are from Middlebury, SceneFlow, ETH3D and KITTI 2012. All pixels with known ground truth count, occluded ones
@@ -14,6 +15,7 @@ import json
 import sys
 from collections.abc import Iterator
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +52,7 @@ def main() -> int:
     parser.add_argument(
         "--precision", nargs="+", default=["float32"], metavar="NAME", help="of networks (default: float32)"
     )
+    parser.add_argument("--scale", nargs="+", type=float, default=[1.0], help="at which networks match (default: 1)")
     parser.add_argument("--json", type=Path, help="file for the numbers of the first matcher")
     options = parser.parse_args()
     try:
@@ -62,10 +65,12 @@ def main() -> int:
             if not named and not exported and not Path(weights).is_dir():
                 model = load_published(weights, options.network, options.channel_order)
             stem = weights if named else Path(weights).stem
-            for precision in [None] if exported else options.precision:
-                name = stem if precision in (None, "float32") else f"{stem}, {precision}"
-                predictor = Predictor(model, options.device, precision=precision)
-                matchers[f"{weights}, {precision}" if name in matchers else name] = NetworkMatcher(
+            for precision, scale in product([None] if exported else options.precision, options.scale):
+                parts = [] if precision in (None, "float32") else [precision]
+                parts += [] if scale == 1 else [f"scale {scale:g}"]
+                name = ", ".join([stem, *parts])
+                predictor = Predictor(model, options.device, precision=precision, scale=scale)
+                matchers[", ".join([weights, *parts]) if name in matchers else name] = NetworkMatcher(
                     predictor, weights=weights
                 )
         matchers["SGBM, 8 paths"] = SGBM_VARIANTS["sgbm"]
@@ -79,8 +84,9 @@ def main() -> int:
         return 2
     print(table(results))
     if options.json is not None:
+        first = numbers(next(iter(results.values())), options.scale[0])
         with atomic_path(options.json, overwrite=True) as temporary:
-            temporary.write_text(json.dumps(numbers(next(iter(results.values()))), indent=2) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(first, indent=2) + "\n", encoding="utf-8")
     return 0
 
 
@@ -96,10 +102,11 @@ def real_pairs(root: Path) -> Iterator[StereoEntry]:
             yield StereoEntry(label, entry.left, entry.right, disparity=entry.disparity)
 
 
-def numbers(evaluation: Evaluation) -> dict[str, Any]:
+def numbers(evaluation: Evaluation, scale: float) -> dict[str, Any]:
+    option = "" if scale == 1 else f" --scale {scale:g}"
     dataset = evaluation.datasets[0]
     return {
-        "command": "python benchmarks/real_pairs.py --weights WEIGHTS",
+        "command": f"python benchmarks/real_pairs.py --weights WEIGHTS{option}",
         "mean_bad_3": round(dataset.metrics["bad_3_per_image"], 3),
         "mean_epe": round(dataset.metrics["epe_per_image"], 3),
         "bad_3": {pair.name: round(pair.metrics["bad_3"], 2) for pair in dataset.pairs},

@@ -199,7 +199,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scale",
         type=float,
-        help="match at this part of the resolution, such as 0.5: finds disparities twice as large (default: 1)",
+        help="match at this part of the resolution: 0.5 finds disparities twice as large, 2 finer detail (default: 1)",
     )
 
 

@@ -1,5 +1,6 @@
 """From a pair of images to a disparity map on disk."""
 
+import math
 import os
 import time
 from contextvars import ContextVar
@@ -25,7 +26,7 @@ from stereokit.inputs import ImageLike, to_pair
 from stereokit.memory import MemorySize, available_memory, running_out_as
 from stereokit.model import StereoModel, StereoOutput, check_least_size
 from stereokit.pretrained import is_hub_id
-from stereokit.tiling import BoundedMatcher, Run, TooLarge, match_reduced, reduced_size
+from stereokit.tiling import BoundedMatcher, Run, TooLarge, match_scaled, scaled_size
 from stereokit.viz import picture_with_scale
 from stereokit.weights import load_weights, named_weights, suggest_weights
 
@@ -159,13 +160,14 @@ class Predictor:
         too_large: what becomes of a pair that needs more: "error" says how much and what would do, "tile" matches it
             in overlapping tiles, for which a network of one's own needs an attribute `max_disparity`, "reduce" at a
             reduced resolution; see `stereokit.tiling`.
-        scale: match at this part of the resolution, such as 0.5, and enlarge the result, see `match_reduced`: it finds
-            disparities up to max_disparity / scale, and less detail.
+        scale: match at this part of the resolution and bring the result back, see `match_scaled`; disparities are found
+            up to max_disparity / scale. 0.5 finds larger ones and less detail, 1.5 or 2 smaller ones and finer detail,
+            which small images gain from, in 2 to 4 times the time.
 
     Raises:
         ConfigError: the device or the backend is unknown, absent, or not for this model; limits of memory for an
-            exported file of one size alone; tiles of a network without `max_disparity`; or a scale that is not above
-            0 and at most 1.
+            exported file of one size alone; tiles of a network without `max_disparity`; or a scale that is not a
+            number above 0.
         CheckpointError: there is no saved network or exported file at this place, or it can't be used.
 
     >>> predict = Predictor("coex", device="cpu")
@@ -185,8 +187,8 @@ class Predictor:
         too_large: TooLarge = "error",
         scale: float = 1.0,
     ) -> None:
-        if not 0 < scale <= 1:
-            raise ConfigError(f"scale={scale!r} is not above 0 and at most 1")
+        if not 0 < scale < math.inf:
+            raise ConfigError(f"scale={scale!r} is not a number above 0; 0.5 is half the resolution, 2 double")
         if not is_exported(model):
             check_backend(backend)
             device = choose_device(device)
@@ -234,12 +236,12 @@ class Predictor:
         left, right = to_pair(left, right)
         check_least_size(*left.shape[-2:])
         start = time.perf_counter()
-        size = reduced_size((left.shape[-2], left.shape[-1]), self.scale)
+        size = scaled_size((left.shape[-2], left.shape[-1]), self.scale)
         run = self._fitting(*size)
         # what was found out for a size is kept
         _preparation_seconds.set(0.0 if size in self._planned else time.perf_counter() - start)
         self._planned.add(size)
-        output = run(left, right) if self.scale == 1 else match_reduced(run, left, right, scale=self.scale)
+        output = run(left, right) if self.scale == 1 else match_scaled(run, left, right, scale=self.scale)
         preparation = _preparation_seconds.get()
         seconds = time.perf_counter() - start - preparation
         confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()

@@ -1,5 +1,6 @@
-"""Pairs too large for the memory: matched in overlapping tiles, or at a reduced resolution."""
+"""Pairs that are not matched as they are: in overlapping tiles, or at another resolution."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -28,9 +29,9 @@ __all__ = [
     "MemoryPlan",
     "Run",
     "TooLarge",
-    "match_reduced",
+    "match_scaled",
     "match_tiles",
-    "reduced_size",
+    "scaled_size",
     "tile_grid",
 ]
 
@@ -157,63 +158,67 @@ def _weights(windows: list[tuple[int, int]], length: int, context: int, overlap:
     return torch.stack([before - after for before, after in pairwise(passed)])
 
 
-def match_reduced(run: Run, left: Tensor, right: Tensor, *, scale: float) -> StereoOutput:
-    """Matches a pair at a reduced resolution and enlarges the result.
+def match_scaled(run: Run, left: Tensor, right: Tensor, *, scale: float) -> StereoOutput:
+    """Matches a pair at another resolution and brings the result back to the given one.
 
-    The disparity is multiplied by what the width was divided by; so is the largest one that can be found, and the
-    smallest detail that can be seen.
+    The disparity is divided by what the width was multiplied by; so is the largest one that can be found, and the
+    smallest detail that can be seen: below 1 larger disparities and less detail, above 1 finer detail, in more time and
+    memory.
 
     Args:
-        run: matches the reduced pair; a network, or what calls one.
+        run: matches the scaled pair; a network, or what calls one.
         left: (B, 3, H, W), uint8, or floating-point in [0, 1].
         right: likewise.
-        scale: size of the reduced pair, in parts of the given one, above 0 and at most 1.
+        scale: size of the scaled pair, in parts of the given one, above 0.
 
     Returns:
         Disparity and confidence at the resolution of `left`, on its device.
 
     Raises:
-        InputError: the scale, or the reduced pair, is too small.
+        InputError: the scale, or the scaled pair, is too small.
 
     >>> def constant(left, right):
     ...     return StereoOutput(torch.full((1, *left.shape[-2:]), 5.0))
     >>> left = right = torch.rand(1, 3, 80, 120)
-    >>> match_reduced(constant, left, right, scale=0.5).disparity.unique()
+    >>> match_scaled(constant, left, right, scale=0.5).disparity.unique()
     tensor([10.])
     """
     height, width = left.shape[-2:]
-    small = reduced_size((height, width), scale)
-    output = run(_reduce(left, small), _reduce(right, small))
-    factor = width / small[1]
-    confidence = None if output.confidence is None else _enlarge(output.confidence, (height, width)).to(left.device)
-    return StereoOutput((_enlarge(output.disparity, (height, width)) * factor).to(left.device), confidence=confidence)
+    scaled = scaled_size((height, width), scale)
+    output = run(_scale_images(left, scaled), _scale_images(right, scaled))
+    factor = width / scaled[1]
+    confidence = None if output.confidence is None else _sample(output.confidence, (height, width)).to(left.device)
+    return StereoOutput((_sample(output.disparity, (height, width)) * factor).to(left.device), confidence=confidence)
 
 
-def reduced_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
-    """Height and width of a pair that `match_reduced` matches.
+def scaled_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
+    """Height and width of a pair that `match_scaled` matches.
 
     Raises:
-        InputError: the scale, or the reduced pair, is too small.
+        InputError: the scale, or the scaled pair, is too small.
 
-    >>> reduced_size((480, 640), 0.25)
+    >>> scaled_size((480, 640), 0.25)
     (120, 160)
     """
+    if not 0 < scale < math.inf:
+        raise InputError(f"scale {scale:g} is not a number above 0")
     height, width = (max(1, round(side * scale)) for side in size)
-    if not 0 < scale <= 1 or min(height, width) < min(MIN_SIZE, *size):
+    if min(height, width) < min(MIN_SIZE, *size):
         raise InputError(
             f"scale {scale:g} makes {height} x {width} pixels of {size[0]} x {size[1]}; "
-            f"at most 1, and at least {min(1.0, MIN_SIZE / min(size)):.3g} would do"
+            f"at least {min(1.0, MIN_SIZE / min(size)):.3g} would do"
         )
     return height, width
 
 
-def _reduce(images: Tensor, size: tuple[int, int]) -> Tensor:
+def _scale_images(images: Tensor, size: tuple[int, int]) -> Tensor:
     # area means, of windows that are not equally wide, would shift pixels to and fro by up to half a pixel
-    reduced = F.interpolate(as_float(images).float(), size, mode="bilinear", align_corners=False, antialias=True)
-    return reduced.to(images.dtype) if images.is_floating_point() else reduced
+    scaled = F.interpolate(as_float(images).float(), size, mode="bilinear", align_corners=False, antialias=True)
+    return scaled.to(images.dtype) if images.is_floating_point() else scaled
 
 
-def _enlarge(values: Tensor, size: tuple[int, int]) -> Tensor:
+def _sample(values: Tensor, size: tuple[int, int]) -> Tensor:
+    # without antialias, which blurs the edges of a disparity map that shrinks
     return F.interpolate(values[:, None].float(), size, mode="bilinear", align_corners=False)[:, 0]
 
 
@@ -227,7 +232,7 @@ class MemoryPlan:
         allowed: bytes; None where there is no limit.
         tile: height and width of the tiles.
         tiles: how many of them.
-        scale: of the reduced resolution, see `match_reduced`.
+        scale: of the reduced resolution, see `match_scaled`.
     """
 
     how: Literal["whole", "tile", "reduce"]
@@ -249,7 +254,7 @@ class BoundedMatcher:
         max_memory: bytes, or a text such as "4GiB", that a pass may take beside the weights; by default what is free
             on the network's device when a pair comes.
         too_large: what becomes of a pair that needs more: "error" says so, and what would do; "tile", see
-            `match_tiles`; "reduce", see `match_reduced`.
+            `match_tiles`; "reduce", see `match_scaled`.
         overlap: of the tiles, in pixels.
         estimate: height and width to bytes, in place of `estimate_memory` of the network.
         device: whose free memory counts, in place of the network's.
@@ -329,7 +334,7 @@ class BoundedMatcher:
                     multiple=self.multiple,
                 )
             if plan.how == "reduce" and plan.scale is not None:
-                return match_reduced(self._on_device, left, right, scale=plan.scale)
+                return match_scaled(self._on_device, left, right, scale=plan.scale)
             return self._on_device(left, right)
 
     def plan(self, height: int, width: int) -> MemoryPlan:

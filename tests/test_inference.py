@@ -115,15 +115,16 @@ def test_what_is_prepared_once_is_timed_apart_from_tiles_too() -> None:
 
 
 @pytest.mark.parametrize("limits", [{}, {"max_memory": "100GB"}])
-def test_at_half_the_resolution_it_finds_disparities_twice_as_large(limits: dict[str, str]) -> None:
+@pytest.mark.parametrize("scale", [0.5, 2])
+def test_at_half_the_resolution_it_finds_disparities_twice_as_large(limits: dict[str, str], scale: float) -> None:
     left, right = np.full((2, 80, 120), 0.25, np.float32)
-    result = Predictor(ColumnNet(), "cpu", scale=0.5, **limits)(left, right)
+    result = Predictor(ColumnNet(), "cpu", scale=scale, **limits)(left, right)
     assert result.size == (80, 120)
-    np.testing.assert_allclose(result.disparity, 2 * 25)
+    np.testing.assert_allclose(result.disparity, 25 / scale)
     with pytest.raises(InputError, match=r"at least 0\.4 would do"):
         Predictor(ColumnNet(), "cpu", scale=0.3)(left, right)
-    for wrong in (0, 1.5, -1):
-        with pytest.raises(ConfigError, match="above 0 and at most 1"):
+    for wrong in (0, -1, float("inf"), float("nan")):
+        with pytest.raises(ConfigError, match="not a number above 0"):
             Predictor(ColumnNet(), "cpu", scale=wrong)
 
 

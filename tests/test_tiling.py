@@ -1,3 +1,5 @@
+import math
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from torch.nn import functional as F
 
 from stereokit import ConfigError, InputError, StereoOutput, build_model, tiling
 from stereokit.optimize import prepare_for_inference
-from stereokit.tiling import BoundedMatcher, MemoryPlan, _weights, match_reduced, match_tiles, tile_grid
+from stereokit.tiling import BoundedMatcher, MemoryPlan, _weights, match_scaled, match_tiles, tile_grid
 from tests.shared import SHARED, needs_shared
 
 
@@ -93,8 +95,8 @@ def test_tiles_that_their_overlaps_fill_are_refused() -> None:
         match_tiles(local, left, left, tile=(400, 600), max_disparity=0, overlap=-1)
 
 
-@given(scale=st.floats(0.3, 1), height=st.integers(110, 150), width=st.integers(110, 300))
-def test_a_reduced_disparity_is_scaled_with_the_width(scale: float, height: int, width: int) -> None:
+@given(scale=st.floats(0.3, 2.5), height=st.integers(110, 150), width=st.integers(110, 300))
+def test_the_disparity_of_another_resolution_is_scaled_with_the_width(scale: float, height: int, width: int) -> None:
     """A network that sees how wide a band is gives the same answer, in pixels of the whole pair."""
 
     def position(left: Tensor, right: Tensor) -> StereoOutput:
@@ -102,7 +104,7 @@ def test_a_reduced_disparity_is_scaled_with_the_width(scale: float, height: int,
         return StereoOutput(columns.expand(left[:, 0].shape), confidence=left[:, 0])
 
     left = torch.full((1, 3, height, width), 51, dtype=torch.uint8)
-    output = match_reduced(position, left, left, scale=scale)
+    output = match_scaled(position, left, left, scale=scale)
     expected = (torch.arange(width) + 0.5).expand(1, height, width)
     border = int(2 / scale) + 1
     inside = (..., slice(border, -border))
@@ -111,31 +113,50 @@ def test_a_reduced_disparity_is_scaled_with_the_width(scale: float, height: int,
     torch.testing.assert_close(output.confidence, torch.full_like(output.confidence, 0.2))
 
 
-@pytest.mark.parametrize("scale", [0, -1, 1.5, 0.1])
-def test_a_scale_that_can_not_be_is_refused(scale: float) -> None:
+@pytest.mark.parametrize(
+    ("scale", "message"),
+    [
+        (0, "not a number above 0"),
+        (-1, "above 0"),
+        (math.inf, "above 0"),
+        (math.nan, "above 0"),
+        (0.1, r"at least 0\.32 "),
+    ],
+)
+def test_a_scale_that_can_not_be_is_refused(scale: float, message: str) -> None:
     left = torch.rand(1, 3, 100, 200)
-    with pytest.raises(InputError, match=r"at least 0\.32 would do"):
-        match_reduced(local, left, left, scale=scale)
+    with pytest.raises(InputError, match=message):
+        match_scaled(local, left, left, scale=scale)
 
 
-@pytest.mark.parametrize("scale", [0.95, 0.75, 0.6, 0.43])
-def test_pixels_are_where_they_were_in_a_reduced_pair(scale: float) -> None:
+@pytest.mark.parametrize("scale", [2.2, 1.5, 1.1, 0.95, 0.75, 0.6, 0.43])
+def test_pixels_are_where_they_were_at_another_resolution(scale: float) -> None:
     def brightness(left: Tensor, right: Tensor) -> StereoOutput:
         return StereoOutput(left[:, 0] * left.shape[-1])
 
     ramp = (torch.arange(400) + 0.5).expand(1, 3, 80, 400) / 400
-    output = match_reduced(brightness, ramp, ramp, scale=scale)
+    output = match_scaled(brightness, ramp, ramp, scale=scale)
     torch.testing.assert_close(output.disparity[..., 10:-10], 400 * ramp[:, 0, :, 10:-10], atol=0.15, rtol=0)
 
 
+def test_edges_stay_sharp_on_the_way_back_from_a_higher_resolution() -> None:
+    def step(left: Tensor, right: Tensor) -> StereoOutput:
+        columns = torch.arange(left.shape[-1])
+        return StereoOutput(torch.where(columns < 180, 60.0, 30.0).expand(left[:, 0].shape))
+
+    images = torch.rand(1, 3, 40, 120)
+    expected = torch.where(torch.arange(120) < 60, 20.0, 10.0).expand(1, 40, 120)
+    torch.testing.assert_close(match_scaled(step, images, images, scale=3).disparity, expected)
+
+
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
-def test_reduced_pairs_keep_their_type(dtype: torch.dtype) -> None:
+def test_scaled_pairs_keep_their_type(dtype: torch.dtype) -> None:
     def match(left: Tensor, right: Tensor) -> StereoOutput:
         assert left.dtype == right.dtype == dtype
         return StereoOutput(left[:, 0])
 
     images = torch.rand(1, 3, 80, 120).to(dtype)
-    assert match_reduced(match, images, images, scale=0.6).disparity.shape == (1, 80, 120)
+    assert match_scaled(match, images, images, scale=0.6).disparity.shape == (1, 80, 120)
 
 
 class Small(nn.Module):
