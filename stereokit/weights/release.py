@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from safetensors.torch import save
+from torch import Tensor
 
 from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.errors import CheckpointError, ConfigError, StereoKitError
@@ -28,7 +29,7 @@ def release(
     out: str | Path,
     *,
     results: Mapping[str, Any],
-    mean_with: str | None = None,
+    mean_with: Sequence[str | Path] = (),
     command: str | None = None,
     licence: str = "Apache-2.0",
 ) -> Manifest:
@@ -39,15 +40,15 @@ def release(
         name: NETWORK.TAG.
         out: the folder, which must be new.
         results: measured errors, with the command that measures them.
-        mean_with: weights of the same network, such as those that the training began from: what is written is the mean
-            of both.
+        mean_with: weights of the same network, such as those that the training began from, by name or as folders of
+            releases: what is written is the mean of them all.
         command: what does the training again, in place of the recorded one with its folders of one machine.
         licence: of the weights, as an SPDX identifier.
 
     Raises:
         CheckpointError: there is no trained network in the folder.
         ConfigError: a name that is not of this network, weights that float16 can't hold, a training that began from
-            weights that are not at hand, or a mean with weights of another network.
+            weights that are not at hand, nor in the mean, or a mean with weights of another network.
         InputError: the files are there already, or can't be written.
 
     Source of the mean: Wortsman et al., "Model soups", ICML 2022.
@@ -63,20 +64,14 @@ def release(
     kind = model.config["name"]
     if not name.startswith(f"{kind}.") or not name.removeprefix(f"{kind}."):
         raise ConfigError(f"weights of a {kind} are named {kind}.TAG, not {name!r}")
-    weights = model.state_dict()
-    if mean_with is not None:
-        other = load_weights(mean_with)
-        if other.config != model.config:
-            raise ConfigError(f"{mean_with!r} are not of the same network; their mean with its weights means nothing")
-        for key, value in other.state_dict().items():
-            if value.is_floating_point():
-                weights[key] = (weights[key] + value) / 2
-        training["mean_with"] = {"name": mean_with, "sha256": read_manifest(mean_with)["sha256"]}
+    training = _with_origin(training, [*list_weights(f"{kind}.*"), *mean_with])
+    if mean_with:
+        training["mean_with"] = [_named(other, training) for other in mean_with]
+    weights = _mean(model, mean_with)
     state = {key: value.half() if value.is_floating_point() else value for key, value in weights.items()}
     too_large = [key for key, value in state.items() if not value.isfinite().all()]
     if too_large:
         raise ConfigError(f"float16 can't hold {', '.join(too_large)}")
-    training = _with_origin(training, kind)
     make_folder(out)
     with atomic_path(Path(out) / WEIGHTS_NAME, overwrite=False) as temporary:
         temporary.write_bytes(save({key: value.contiguous() for key, value in state.items()}))
@@ -95,16 +90,39 @@ def release(
     return manifest
 
 
-def _with_origin(training: dict[str, Any], network: str) -> dict[str, Any]:
+def _mean(model: StereoModel, others: Sequence[str | Path]) -> dict[str, Tensor]:
+    weights = model.state_dict()
+    for number, name in enumerate(others, start=1):
+        other = load_weights(name)
+        if other.config != model.config:
+            raise ConfigError(f"{str(name)!r} are not of the same network; their mean with its weights means nothing")
+        for key, value in other.state_dict().items():
+            if value.is_floating_point():
+                weights[key] = weights[key] + (value - weights[key]) / (number + 1)
+    return weights
+
+
+def _named(weights: str | Path, training: dict[str, Any]) -> dict[str, Any]:
+    """Name and hash of weights in the mean; with their record where nothing else tells it."""
+    manifest = read_manifest(weights)
+    known: dict[str, Any] = {"name": manifest["name"], "sha256": manifest["sha256"]}
+    if weights in list_weights() or training.get("started_from", {}).get("sha256") == manifest["sha256"]:
+        return known
+    return {**known, "training": manifest["training"]}
+
+
+def _with_origin(training: dict[str, Any], known: Sequence[str | Path]) -> dict[str, Any]:
     """The record, with that of the weights that the training began from."""
     start = training.get("start")
     if start is None:
         return training
-    for name in list_weights(f"{network}.*"):
-        if state_sha256(load_weights(name).state_dict()) == start:
-            origin = read_manifest(name)
-            known = {"name": name, "sha256": origin["sha256"], "training": origin["training"]}
-            return {**training, "started_from": known}
+    for weights in known:
+        origin = read_manifest(weights)
+        before = origin["training"]
+        # those of a run by itself are released as halves, and trained on as they were
+        as_trained = None if "mean_with" in before else before.get("weights_sha256")
+        if start in (as_trained, state_sha256(load_weights(weights).state_dict())):
+            return {**training, "started_from": {key: origin[key] for key in ("name", "sha256", "training")}}
     raise ConfigError(
         f"the training began from weights that are not at hand (SHA-256 of their tensors: {start}), so that nobody "
         f"could tell where these are from; release those first"
@@ -118,7 +136,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", help="NETWORK.TAG")
     parser.add_argument("--out", required=True, help="new folder")
     parser.add_argument("--results", required=True, help="JSON file of measured errors")
-    parser.add_argument("--mean-with", metavar="NAME", help="write the mean of the network's weights and these")
+    parser.add_argument(
+        "--mean-with",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="write the mean of the network's weights and these, named or in the folder of a release; repeat",
+    )
     parser.add_argument(
         "--command", help="what does the training again, in place of the recorded one with its folders of one machine"
     )

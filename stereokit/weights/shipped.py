@@ -121,19 +121,22 @@ def suggest_weights(name: str) -> str:
     return suggest(name, [*networks, *list_weights()])
 
 
-def weights_folder(name: str) -> Path:
-    """The folder of these weights.
+def weights_folder(name: str | os.PathLike[str]) -> Path:
+    """The folder of these weights; that of a release, where it is not also a name, is its own.
 
     Raises:
         ConfigError: there are none of this name.
     """
+    name = os.fspath(name)
     if name not in WEIGHTS:
+        if (Path(name) / MANIFEST_NAME).is_file():
+            return Path(name)
         raise ConfigError(f"unknown weights {name!r}; {suggest(name, list_weights())}")
     return Path(WEIGHTS.get(name)())
 
 
-def read_manifest(name: str) -> Manifest:
-    """What is known about these weights.
+def read_manifest(name: str | os.PathLike[str]) -> Manifest:
+    """What is known about these weights, given by name, or as the folder of a release.
 
     Raises:
         ConfigError: there are none of this name.
@@ -153,11 +156,11 @@ def read_manifest(name: str) -> Manifest:
     return cast(Manifest, manifest)
 
 
-def load_weights(name: str, **overrides: Any) -> StereoModel:
+def load_weights(name: str | os.PathLike[str], **overrides: Any) -> StereoModel:
     """The network that these weights are of, with them, in eval mode.
 
     Args:
-        name: NETWORK.TAG, see `list_weights`.
+        name: NETWORK.TAG, see `list_weights`, or the folder of a release.
         overrides: of the network, see `build_model`; the weights have to fit it still.
 
     Raises:
@@ -182,12 +185,12 @@ def load_weights(name: str, **overrides: Any) -> StereoModel:
     model: StereoModel = build_model(manifest["network"], **overrides)
     differing = [key for key, value in model.config.items() if manifest["network"].get(key) != value]
     try:
-        load_state(model, state, name)
+        load_state(model, state, manifest["name"])
     except CheckpointError as error:
         if not differing:
             raise
         raise CheckpointError(
-            f"the weights {name!r} are of another network: it differs in {', '.join(differing)}; leave that as it is, "
-            "or train it"
+            f"the weights {os.fspath(name)!r} are of another network: it differs in {', '.join(differing)}; "
+            "leave that as it is, or train it"
         ) from error
     return model.eval()

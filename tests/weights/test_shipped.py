@@ -177,15 +177,49 @@ def test_a_release_may_be_the_mean_with_other_weights(registered, tmp_path):
     network = build_model("coex", max_disparity=64, top_k=3)
     network.save_pretrained(tmp_path / "network")
     (tmp_path / "network" / "training.json").write_text(json.dumps({"seed": 1}))
-    manifest = release(tmp_path / "network", "coex.mean", tmp_path / "mean", results={}, mean_with="coex.mine")
-    assert manifest["training"]["mean_with"] == {"name": "coex.mine", "sha256": read_manifest("coex.mine")["sha256"]}
-    mean, other = load_file(tmp_path / "mean" / "model.safetensors"), load_weights("coex.mine").state_dict()
+    third = build_model("coex", max_disparity=64, top_k=3)
+    third.save_pretrained(tmp_path / "third")
+    (tmp_path / "third" / "training.json").write_text(json.dumps({"seed": 2}))
+    release(tmp_path / "third", "coex.third", folder := tmp_path / "coex.third", results={})
+    arguments = [tmp_path / "network", "coex.mean", "--out", tmp_path / "mean", "--results", tmp_path / "results.json"]
+    (tmp_path / "results.json").write_text("{}")
+    assert main([*map(str, arguments), "--mean-with", "coex.mine", "--mean-with", str(folder)]) == 0
+    assert read_manifest(tmp_path / "mean")["training"]["mean_with"] == [
+        {"name": "coex.mine", "sha256": read_manifest("coex.mine")["sha256"]},
+        {"name": "coex.third", "sha256": read_manifest(folder)["sha256"], "training": {"seed": 2}},
+    ]
+    mean, *others = (load_weights(place).state_dict() for place in (tmp_path / "mean", "coex.mine", folder))
     for key, value in network.state_dict().items():
         if value.is_floating_point():
-            torch.testing.assert_close(mean[key].float(), (value + other[key]) / 2, rtol=1e-3, atol=1e-6)
+            expected = (value + others[0][key] + others[1][key]) / 3
+            torch.testing.assert_close(mean[key], expected, rtol=1e-3, atol=1e-5)
     build_model("coex", max_disparity=32, top_k=3).save_pretrained(tmp_path / "network")
     with pytest.raises(ConfigError, match=r"'coex\.mine' are not of the same network"):
-        release(tmp_path / "network", "coex.mean", tmp_path / "other", results={}, mean_with="coex.mine")
+        release(tmp_path / "network", "coex.mean", tmp_path / "other", results={}, mean_with=["coex.mine"])
+
+
+def test_a_training_may_have_begun_with_weights_in_the_mean(tmp_path):
+    torch.manual_seed(2)
+    first, second = (build_model("coex", max_disparity=64) for _ in range(2))
+    before, after = tmp_path / "before", tmp_path / "after"
+    first.save_pretrained(before / "network")
+    started = state_sha256(first.state_dict())
+    (before / "network" / "training.json").write_text(json.dumps({"seed": 1, "weights_sha256": started}))
+    release(before / "network", "coex.before", before / "released", results={})
+    second.save_pretrained(after / "network")
+    ended = state_sha256(second.state_dict())
+    record = after / "network" / "training.json"
+    record.write_text(json.dumps({"seed": 2, "start": started, "weights_sha256": ended}))
+    with pytest.raises(ConfigError, match="not at hand"):
+        release(after / "network", "coex.after", after / "alone", results={})
+    manifest = release(after / "network", "coex.after", after / "mean", results={}, mean_with=[before / "released"])
+    known = {"name": "coex.before", "sha256": read_manifest(before / "released")["sha256"]}
+    assert manifest["training"]["mean_with"] == [known]
+    assert manifest["training"]["started_from"] == {**known, "training": {"seed": 1, "weights_sha256": started}}
+    # a mean is not what its last training came to
+    record.write_text(json.dumps({"seed": 3, "start": ended}))
+    with pytest.raises(ConfigError, match="not at hand"):
+        release(after / "network", "coex.next", after / "next", results={}, mean_with=[after / "mean"])
 
 
 def test_releases_that_can_not_be(mine, tmp_path, capsys):
