@@ -237,7 +237,12 @@ class Predictor:
         check_least_size(*left.shape[-2:])
         start = time.perf_counter()
         size = scaled_size((left.shape[-2], left.shape[-1]), self.scale)
-        run = self._fitting(*size)
+        try:
+            run = self._fitting(*size)
+        except InputError as error:
+            if self.scale == 1:
+                raise
+            raise InputError(f"at scale {self.scale:g}: {error}") from error
         # what was found out for a size is kept
         _preparation_seconds.set(0.0 if size in self._planned else time.perf_counter() - start)
         self._planned.add(size)

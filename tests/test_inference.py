@@ -123,6 +123,8 @@ def test_at_half_the_resolution_it_finds_disparities_twice_as_large(limits: dict
     np.testing.assert_allclose(result.disparity, 25 / scale)
     with pytest.raises(InputError, match=r"at least 0\.4 would do"):
         Predictor(ColumnNet(), "cpu", scale=0.3)(left, right)
+    with pytest.raises(InputError, match=r"at scale 1\.5: a pair of 180 x 120 pixels needs about"):
+        Predictor(ColumnNet(), "cpu", scale=1.5, max_memory=1000)(left, right)
     for wrong in (0, -1, float("inf"), float("nan")):
         with pytest.raises(ConfigError, match="not a number above 0"):
             Predictor(ColumnNet(), "cpu", scale=wrong)
