@@ -84,7 +84,7 @@ def main() -> int:
         return 2
     print(table(results))
     if options.json is not None:
-        first = numbers(next(iter(results.values())), options.scale[0])
+        first = numbers(next(iter(results.values())))
         with atomic_path(options.json, overwrite=True) as temporary:
             temporary.write_text(json.dumps(first, indent=2) + "\n", encoding="utf-8")
     return 0
@@ -102,11 +102,17 @@ def real_pairs(root: Path) -> Iterator[StereoEntry]:
             yield StereoEntry(label, entry.left, entry.right, disparity=entry.disparity)
 
 
-def numbers(evaluation: Evaluation, scale: float) -> dict[str, Any]:
-    option = "" if scale == 1 else f" --scale {scale:g}"
+def numbers(evaluation: Evaluation) -> dict[str, Any]:
+    model = evaluation.model
+    options = {
+        "weights": "WEIGHTS" if "weights" in model else None,
+        "precision": model["precision"] if model.get("precision", "float32") != "float32" else None,
+        "scale": model.get("limits", {}).get("scale"),
+    }
+    words = [f"--{key} {value}" for key, value in options.items() if value is not None]
     dataset = evaluation.datasets[0]
     return {
-        "command": f"python benchmarks/real_pairs.py --weights WEIGHTS{option}",
+        "command": " ".join(["python benchmarks/real_pairs.py SCENES", *words]),
         "mean_bad_3": round(dataset.metrics["bad_3_per_image"], 3),
         "mean_epe": round(dataset.metrics["epe_per_image"], 3),
         "bad_3": {pair.name: round(pair.metrics["bad_3"], 2) for pair in dataset.pairs},

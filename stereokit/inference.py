@@ -1,6 +1,5 @@
 """From a pair of images to a disparity map on disk."""
 
-import math
 import os
 import time
 from contextvars import ContextVar
@@ -26,7 +25,7 @@ from stereokit.inputs import ImageLike, to_pair
 from stereokit.memory import MemorySize, available_memory, running_out_as
 from stereokit.model import StereoModel, StereoOutput, check_least_size
 from stereokit.pretrained import is_hub_id
-from stereokit.tiling import BoundedMatcher, Run, TooLarge, match_scaled, scaled_size
+from stereokit.tiling import MAX_SCALE, BoundedMatcher, Run, TooLarge, match_scaled, scaled_size
 from stereokit.viz import picture_with_scale
 from stereokit.weights import load_weights, named_weights, suggest_weights
 
@@ -166,8 +165,8 @@ class Predictor:
 
     Raises:
         ConfigError: the device or the backend is unknown, absent, or not for this model; limits of memory for an
-            exported file of one size alone; tiles of a network without `max_disparity`; or a scale that is not a
-            number above 0.
+            exported file of one size alone; tiles of a network without `max_disparity`; or a scale that is not
+            above 0 and at most 8.
         CheckpointError: there is no saved network or exported file at this place, or it can't be used.
 
     >>> predict = Predictor("coex", device="cpu")
@@ -187,8 +186,10 @@ class Predictor:
         too_large: TooLarge = "error",
         scale: float = 1.0,
     ) -> None:
-        if not 0 < scale < math.inf:
-            raise ConfigError(f"scale={scale!r} is not a number above 0; 0.5 is half the resolution, 2 double")
+        if not 0 < scale <= MAX_SCALE:
+            raise ConfigError(
+                f"scale={scale!r} is not above 0 and at most {MAX_SCALE}; 0.5 is half the resolution, 2 double"
+            )
         if not is_exported(model):
             check_backend(backend)
             device = choose_device(device)
@@ -239,14 +240,14 @@ class Predictor:
         size = scaled_size((left.shape[-2], left.shape[-1]), self.scale)
         try:
             run = self._fitting(*size)
+            # what was found out for a size is kept
+            _preparation_seconds.set(0.0 if size in self._planned else time.perf_counter() - start)
+            self._planned.add(size)
+            output = run(left, right) if self.scale == 1 else match_scaled(run, left, right, scale=self.scale)
         except InputError as error:
             if self.scale == 1:
                 raise
-            raise InputError(f"at scale {self.scale:g}: {error}") from error
-        # what was found out for a size is kept
-        _preparation_seconds.set(0.0 if size in self._planned else time.perf_counter() - start)
-        self._planned.add(size)
-        output = run(left, right) if self.scale == 1 else match_scaled(run, left, right, scale=self.scale)
+            raise InputError(f"at scale {self.scale:g}, in pixels of the scaled pair: {error}") from error
         preparation = _preparation_seconds.get()
         seconds = time.perf_counter() - start - preparation
         confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()

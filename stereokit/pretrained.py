@@ -22,7 +22,16 @@ if TYPE_CHECKING:
     from stereokit.builder import ModelConfig
     from stereokit.model import StereoModel
 
-__all__ = ["CONFIG_NAME", "WEIGHTS_NAME", "is_hub_id", "load_folder", "load_state", "save_folder", "saved_config"]
+__all__ = [
+    "CONFIG_NAME",
+    "WEIGHTS_NAME",
+    "is_hub_id",
+    "load_folder",
+    "load_state",
+    "save_folder",
+    "saved_config",
+    "write_config",
+]
 
 CONFIG_NAME = "config.json"
 WEIGHTS_NAME = "model.safetensors"
@@ -69,7 +78,12 @@ def save_folder(model: "StereoModel", folder: Path) -> None:
     make_folder(folder)
     with atomic_path(folder / WEIGHTS_NAME, overwrite=True) as temporary:
         temporary.write_bytes(save({k: v.contiguous() for k, v in model.state_dict().items()}))
-    with atomic_path(folder / CONFIG_NAME, overwrite=True) as temporary:
+    write_config(config, folder, overwrite=True)
+
+
+def write_config(config: "ModelConfig", folder: Path, *, overwrite: bool) -> None:
+    """Writes the configuration of a network, beside whose weights it makes a folder a saved network."""
+    with atomic_path(folder / CONFIG_NAME, overwrite=overwrite) as temporary:
         temporary.write_text(json.dumps({"stereokit": __version__, "network": config}, indent=2) + "\n")
 
 

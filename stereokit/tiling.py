@@ -1,6 +1,5 @@
 """Pairs that are not matched as they are: in overlapping tiles, or at another resolution."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -42,6 +41,9 @@ TooLarge: TypeAlias = Literal["error", "tile", "reduce"]
 """What becomes of a pair that does not fit: it is refused, matched in tiles, or matched at a reduced resolution."""
 
 OVERLAP = 128
+MAX_SCALE = 8
+"""Of a pair: enlarging adds nothing to it, and a network only finds what is finer than its own grid."""
+
 MOST_TILES = 256
 """In each direction."""
 
@@ -169,13 +171,13 @@ def match_scaled(run: Run, left: Tensor, right: Tensor, *, scale: float) -> Ster
         run: matches the scaled pair; a network, or what calls one.
         left: (B, 3, H, W), uint8, or floating-point in [0, 1].
         right: likewise.
-        scale: size of the scaled pair, in parts of the given one, above 0.
+        scale: size of the scaled pair, in parts of the given one, above 0 and at most 8.
 
     Returns:
         Disparity and confidence at the resolution of `left`, on its device.
 
     Raises:
-        InputError: the scale, or the scaled pair, is too small.
+        InputError: a scale that is out of range, or a scaled pair that is too small.
 
     >>> def constant(left, right):
     ...     return StereoOutput(torch.full((1, *left.shape[-2:]), 5.0))
@@ -195,13 +197,13 @@ def scaled_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
     """Height and width of a pair that `match_scaled` matches.
 
     Raises:
-        InputError: the scale, or the scaled pair, is too small.
+        InputError: a scale that is out of range, or a scaled pair that is too small.
 
     >>> scaled_size((480, 640), 0.25)
     (120, 160)
     """
-    if not 0 < scale < math.inf:
-        raise InputError(f"scale {scale:g} is not a number above 0")
+    if not 0 < scale <= MAX_SCALE:
+        raise InputError(f"scale {scale:g} is not above 0 and at most {MAX_SCALE}")
     height, width = (max(1, round(side * scale)) for side in size)
     if min(height, width) < min(MIN_SIZE, *size):
         raise InputError(
@@ -218,7 +220,7 @@ def _scale_images(images: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _sample(values: Tensor, size: tuple[int, int]) -> Tensor:
-    # without antialias, which blurs the edges of a disparity map that shrinks
+    # with antialias a map that shrinks would have broader edges, of disparities that no surface has
     return F.interpolate(values[:, None].float(), size, mode="bilinear", align_corners=False)[:, 0]
 
 

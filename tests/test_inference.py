@@ -116,17 +116,17 @@ def test_what_is_prepared_once_is_timed_apart_from_tiles_too() -> None:
 
 @pytest.mark.parametrize("limits", [{}, {"max_memory": "100GB"}])
 @pytest.mark.parametrize("scale", [0.5, 2])
-def test_at_half_the_resolution_it_finds_disparities_twice_as_large(limits: dict[str, str], scale: float) -> None:
+def test_disparities_of_another_resolution_are_those_of_the_pair(limits: dict[str, str], scale: float) -> None:
     left, right = np.full((2, 80, 120), 0.25, np.float32)
     result = Predictor(ColumnNet(), "cpu", scale=scale, **limits)(left, right)
     assert result.size == (80, 120)
     np.testing.assert_allclose(result.disparity, 25 / scale)
     with pytest.raises(InputError, match=r"at least 0\.4 would do"):
         Predictor(ColumnNet(), "cpu", scale=0.3)(left, right)
-    with pytest.raises(InputError, match=r"at scale 1\.5: a pair of 180 x 120 pixels needs about"):
+    with pytest.raises(InputError, match=r"at scale 1\.5, .*: a pair of 180 x 120 pixels needs about"):
         Predictor(ColumnNet(), "cpu", scale=1.5, max_memory=1000)(left, right)
-    for wrong in (0, -1, float("inf"), float("nan")):
-        with pytest.raises(ConfigError, match="not a number above 0"):
+    for wrong in (0, -1, 9, float("nan")):
+        with pytest.raises(ConfigError, match="not above 0 and at most 8"):
             Predictor(ColumnNet(), "cpu", scale=wrong)
 
 

@@ -177,6 +177,9 @@ class Recipe:
             raise ConfigError(f"recipe {self.name!r}: its [model] names no network")
         if not isinstance(self.from_weights, bool):
             raise ConfigError(f"recipe {self.name!r}: from_weights is true or false, got {self.from_weights!r}")
+        for key in ("seed", "textures"):
+            if key in (self.scenes or {}):
+                raise ConfigError(f"recipe {self.name!r}, [scenes]: {key} belongs to a run (--{key}), not to a recipe")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as `from_dict` takes them; JSON keeps them."""

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from textwrap import shorten
 from typing import Any, cast
 
 import torch
@@ -443,6 +442,8 @@ def _check_same_run(out: Path, before: Mapping[str, Any], asked: dict[str, Any])
     # milestones stay the same epochs where there are more of these, or the same parts of the run
     differing = min((_differing(*(_settled(run, parts) for run in runs)) for parts in (True, False)), key=len)
     for key, (value, wanted) in differing.items():
+        if isinstance(value, Mapping) and isinstance(wanted, Mapping):
+            value, wanted = (dict(a.items() - b.items()) for a, b in ((value, wanted), (wanted, value)))
         raise ConfigError(
             f"{str(out)!r} was started with {key} {_brief(value)}, not {_brief(wanted)}; resume it with the same, or "
             "choose another --out"
@@ -450,7 +451,8 @@ def _check_same_run(out: Path, before: Mapping[str, Any], asked: dict[str, Any])
 
 
 def _brief(value: Any) -> str:
-    return shorten(repr(value), 200, placeholder=" ..")
+    text = repr(value)
+    return text if len(text) <= 200 else f"{text[:200]} .."
 
 
 def _check_checkpoint(path: Path, steps: int, minutes: float | None) -> None:

@@ -16,7 +16,7 @@ from torch import Tensor
 from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.errors import CheckpointError, ConfigError, StereoKitError
 from stereokit.model import StereoModel
-from stereokit.pretrained import WEIGHTS_NAME
+from stereokit.pretrained import WEIGHTS_NAME, write_config
 from stereokit.provenance import file_sha256, state_sha256
 from stereokit.weights.shipped import MANIFEST_NAME, Manifest, list_weights, load_weights, read_manifest
 
@@ -33,15 +33,15 @@ def release(
     command: str | None = None,
     licence: str = "Apache-2.0",
 ) -> Manifest:
-    """Writes `model.safetensors` in float16, and `manifest.json`.
+    """Writes `model.safetensors` in float16, and `manifest.json`; with `config.json` the folder is a saved network too.
 
     Args:
         network: folder of a network that `stereokit train` saved, with its `training.json`.
         name: NETWORK.TAG.
         out: the folder, which must be new.
         results: measured errors, with the command that measures them.
-        mean_with: weights of the same network, such as those that the training began from, by name or as folders of
-            releases: what is written is the mean of them all.
+        mean_with: weights of the same network, such as those that the training began from, by name, or as the `Path` of
+            a release's folder: what is written is the mean of them all.
         command: what does the training again, in place of the recorded one with its folders of one machine.
         licence: of the weights, as an SPDX identifier.
 
@@ -61,6 +61,8 @@ def release(
         raise CheckpointError(f"{str(record)!r}, the record of the training, can't be read: {error}") from error
     if command is not None:
         training["command"] = command
+    if isinstance(mean_with, str):
+        raise ConfigError(f"mean_with takes a list of weights, such as [{mean_with!r}]")
     kind = model.config["name"]
     if not name.startswith(f"{kind}.") or not name.removeprefix(f"{kind}."):
         raise ConfigError(f"weights of a {kind} are named {kind}.TAG, not {name!r}")
@@ -75,6 +77,7 @@ def release(
     make_folder(out)
     with atomic_path(Path(out) / WEIGHTS_NAME, overwrite=False) as temporary:
         temporary.write_bytes(save({key: value.contiguous() for key, value in state.items()}))
+    write_config(model.config, Path(out), overwrite=False)
     manifest = Manifest(
         name=name,
         sha256=file_sha256(Path(out) / WEIGHTS_NAME),
@@ -155,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.name,
             options.out,
             results=results,
-            mean_with=options.mean_with,
+            mean_with=[Path(weights) if Path(weights).is_dir() else weights for weights in options.mean_with],
             command=options.command,
             licence=options.licence,
         )

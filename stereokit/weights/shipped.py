@@ -51,7 +51,8 @@ class Manifest(TypedDict):
     """In which the weights are stored."""
     training: dict[str, Any]
     """Recipe, seed, commit, steps, pairs seen, seconds, machine, versions: the `training.json` of the run. Under
-    "started_from" the same of the weights that it began with, if it did not begin with random ones."""
+    "started_from" the same of the weights that it began with, if it did not begin with random ones; under "mean_with"
+    the weights that the file is the mean of, besides those of the run."""
     results: dict[str, Any]
     """Measured errors, with the command that measures them."""
 
@@ -121,22 +122,21 @@ def suggest_weights(name: str) -> str:
     return suggest(name, [*networks, *list_weights()])
 
 
-def weights_folder(name: str | os.PathLike[str]) -> Path:
-    """The folder of these weights; that of a release, where it is not also a name, is its own.
+def weights_folder(name: str | Path) -> Path:
+    """The folder of these weights; a `Path` is one already.
 
     Raises:
         ConfigError: there are none of this name.
     """
-    name = os.fspath(name)
+    if isinstance(name, Path):
+        return name
     if name not in WEIGHTS:
-        if (Path(name) / MANIFEST_NAME).is_file():
-            return Path(name)
         raise ConfigError(f"unknown weights {name!r}; {suggest(name, list_weights())}")
     return Path(WEIGHTS.get(name)())
 
 
-def read_manifest(name: str | os.PathLike[str]) -> Manifest:
-    """What is known about these weights, given by name, or as the folder of a release.
+def read_manifest(name: str | Path) -> Manifest:
+    """What is known about these weights, given by name, or as the `Path` of a release's folder.
 
     Raises:
         ConfigError: there are none of this name.
@@ -156,11 +156,11 @@ def read_manifest(name: str | os.PathLike[str]) -> Manifest:
     return cast(Manifest, manifest)
 
 
-def load_weights(name: str | os.PathLike[str], **overrides: Any) -> StereoModel:
+def load_weights(name: str | Path, **overrides: Any) -> StereoModel:
     """The network that these weights are of, with them, in eval mode.
 
     Args:
-        name: NETWORK.TAG, see `list_weights`, or the folder of a release.
+        name: NETWORK.TAG, see `list_weights`, or the `Path` of a release's folder.
         overrides: of the network, see `build_model`; the weights have to fit it still.
 
     Raises:
@@ -180,7 +180,7 @@ def load_weights(name: str | os.PathLike[str], **overrides: Any) -> StereoModel:
     if digest != manifest["sha256"]:
         raise CheckpointError(
             f"the weights {str(path)!r} are damaged: their SHA-256 is {digest}, not {manifest['sha256']} as in the "
-            "manifest; install the package again"
+            "manifest; get them again, with the package if they came with it"
         )
     model: StereoModel = build_model(manifest["network"], **overrides)
     differing = [key for key, value in model.config.items() if manifest["network"].get(key) != value]
@@ -190,7 +190,7 @@ def load_weights(name: str | os.PathLike[str], **overrides: Any) -> StereoModel:
         if not differing:
             raise
         raise CheckpointError(
-            f"the weights {os.fspath(name)!r} are of another network: it differs in {', '.join(differing)}; "
+            f"the weights {str(name)!r} are of another network: it differs in {', '.join(differing)}; "
             "leave that as it is, or train it"
         ) from error
     return model.eval()

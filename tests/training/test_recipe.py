@@ -20,6 +20,13 @@ def test_every_recipe_loads_and_survives_json(name):
     assert build_model(recipe.model["name"], **options).auxiliary_weights
 
 
+@pytest.mark.parametrize("key", ["seed", "textures"])
+def test_what_belongs_to_a_run_is_refused_in_a_recipe(key):
+    values = load_recipe("synthetic").to_dict()
+    with pytest.raises(ConfigError, match=rf"\[scenes\]: {key} belongs to a run \(--{key}\)"):
+        Recipe.from_dict({**values, "scenes": {**values["scenes"], key: 3}})
+
+
 def test_the_recipes_of_the_papers():
     sceneflow, kitti = load_recipe("sceneflow"), load_recipe("kitti-finetune")
     crop = sceneflow.augmentation.crop_height, sceneflow.augmentation.crop_width

@@ -305,10 +305,11 @@ def test_a_run_from_before_a_setting_existed_is_resumed(tmp_path):
 def test_photographs_are_known_by_their_content(tmp_path):
     photographs = tmp_path / "photographs"
     photographs.mkdir()
-    write_image(photographs / "brick.png", np.full((40, 40, 3), 90, np.uint8))
+    for name in ("a.png", "brick.png"):
+        write_image(photographs / name, np.full((40, 40, 3), 90, np.uint8))
     recipe = with_length(TINY, steps=1)
     record = train(recipe, tmp_path / "run", textures=photographs, **CPU).record
-    assert record["textures"] == {"brick.png": file_sha256(photographs / "brick.png")}
+    assert record["textures"] == {name: file_sha256(photographs / name) for name in ("a.png", "brick.png")}
     moved = photographs.rename(tmp_path / "moved")
     assert train(with_length(TINY, steps=2), tmp_path / "run", textures=moved, resume=True, **CPU).record["steps"] == 2
     write_image(moved / "brick.png", np.full((40, 40, 3), 91, np.uint8), overwrite=True)

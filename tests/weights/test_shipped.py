@@ -83,7 +83,9 @@ def test_every_way_to_the_weights_leads_to_the_same(registered, mine):
         build_model("coex.mine"),
         build_model("coex", pretrained="mine"),
         load_weights("coex.mine"),
+        load_weights(registered),
         Predictor("coex.mine", device="cpu").model,
+        Predictor(registered, device="cpu").model,
     ]
     for model in ways:
         assert not model.training
@@ -131,7 +133,7 @@ def test_damage_is_noticed(registered):
     content = bytearray(weights.read_bytes())
     content[-1] ^= 1
     weights.write_bytes(content)
-    with pytest.raises(CheckpointError, match=r"are damaged: their SHA-256 is .* install the package again"):
+    with pytest.raises(CheckpointError, match=r"are damaged: their SHA-256 is .* get them again"):
         load_weights("coex.mine")
     weights.unlink()
     with pytest.raises(CheckpointError, match="can't be read"):

@@ -89,16 +89,23 @@ class Composition:
         if layer.shape is None and layer.surface.slope == (0.0, 0.0) and layer.surface.disparity < 1:
             return layer
         if rng.random() < self.alike:
-            other = layers[rng.integers(len(layers))].texture
-            texture = replace(other, origin=tuple(rng.uniform(0, TILE, 2)), ground=layer.texture.ground)
+            others = [other for other in layers if other is not layer] or [layer]
+            other = others[rng.integers(len(others))]
+            texture = replace(other.texture, origin=tuple(rng.uniform(0, TILE, 2)), ground=layer.texture.ground)
             layer = replace(layer, texture=texture)
         if rng.random() < self.shaded:
             layer = replace(layer, shade=bank.shade(rng))
         if rng.random() < self.glossy:
-            disparity = float(layer.surface.disparity * rng.uniform(0, 0.9))
+            disparity = self._farthest(layer) * float(rng.uniform(0, 0.9))
             strength = math.exp(rng.uniform(math.log(0.08), math.log(0.5)))
             layer = replace(layer, reflection=Reflection(bank.texture(rng, plain=0.0), disparity, strength))
         return layer
+
+    def _farthest(self, layer: Layer) -> float:
+        """A disparity that the layer has nowhere less of, where it is seen."""
+        extent = self._all_over(layer.surface) if layer.shape is None else layer.shape.extent
+        low, _ = layer.surface.span(*extent)
+        return max(low, 0.0)
 
     def fitted(self, surface: Surface, half_width: float, half_height: float) -> Surface:
         """The surface with its relief flattened until disparity stays within bounds."""
@@ -120,8 +127,12 @@ class Composition:
 
     def backdrop(self, surface: Surface) -> Surface:
         """The surface, within bounds all over both views."""
+        return self.fitted(surface, *self._all_over(surface))
+
+    def _all_over(self, surface: Surface) -> tuple[float, float]:
+        """How far from its centre a surface without an end is seen, in columns and in rows."""
         u0, v0 = surface.centre
-        return self.fitted(surface, max(u0, self.wide - u0), max(v0, self.size[0] - v0))
+        return max(u0, self.wide - u0), max(v0, self.size[0] - v0)
 
     def _disparity(self, rng: Generator) -> float:
         return float(self.max_disparity * rng.uniform() ** self.disparity_exponent)

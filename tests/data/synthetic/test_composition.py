@@ -95,7 +95,20 @@ def test_light_leaves_the_geometry(bank, seed):
     assert not any(layer.shade or layer.reflection for layer in plain.layers)
 
 
+def test_a_reflection_lies_behind_its_surface(bank):
+    columns, rows = np.arange(96, dtype=np.float32)[None], np.arange(48, dtype=np.float32)[:, None]
+    for seed in range(60):
+        for layer in Composition(size=(48, 96), glossy=1).scene(np.random.default_rng(seed), bank).layers:
+            if layer.reflection is None:
+                continue
+            for view in ("left", "right"):
+                _, disparity, outside = layer.seen(columns.repeat(48, 0), rows, view)
+                seen = disparity if outside is None else disparity[outside < 0]
+                assert layer.reflection.disparity <= max(seen.min(initial=np.inf), 0) + 1e-3
+
+
 def test_all_but_the_sky_may_be_lit_or_alike(bank):
+    changed = 0
     for seed in range(30):
         rng = np.random.default_rng(seed)
         plain = Composition(size=(48, 96)).scene(np.random.default_rng(seed), bank)
@@ -111,6 +124,8 @@ def test_all_but_the_sky_may_be_lit_or_alike(bank):
             else:
                 assert 0 <= layer.reflection.disparity <= max(0.9 * layer.surface.disparity, 0)
                 assert 0 < layer.reflection.strength <= 0.5
+                changed += layer.texture.palette.tobytes() != before.texture.palette.tobytes()
+    assert changed > 100
 
 
 def test_shades_are_grey_and_never_black(bank):

@@ -1,10 +1,11 @@
 import pickle
+from dataclasses import fields
 
 import numpy as np
 import pytest
 from torch.utils.data import DataLoader
 
-from stereokit.data.synthetic import SyntheticScenes
+from stereokit.data.synthetic import Composition, SyntheticScenes
 from stereokit.errors import ConfigError
 
 SETTINGS = {"seed": 3, "size": (48, 64), "max_disparity": 20}
@@ -52,6 +53,13 @@ def test_the_number_of_workers_changes_nothing(small, workers):
     loader = DataLoader(small, collate_fn=first, num_workers=workers, multiprocessing_context=context)
     for index, sample in enumerate(loader):
         assert_same(sample, small[index])
+
+
+def test_every_setting_of_a_composition_is_passed_on():
+    settings = {"thin": 0.1, "alike": 0.2, "shaded": 0.3, "glossy": 0.4, "objects": (1, 2), "range_exponent": 0.5}
+    settings |= {"size": (48, 96), "max_disparity": 32.0, "disparity_exponent": 1.6}
+    assert SyntheticScenes(**settings).composition == Composition(**settings)
+    assert settings.keys() == {field.name for field in fields(Composition)}
 
 
 def test_an_item_hangs_on_seed_and_index_alone(small):
