@@ -29,6 +29,7 @@ def release(
     out: str | Path,
     *,
     results: Mapping[str, Any],
+    started_from: str | Path | None = None,
     mean_with: Sequence[str | Path] = (),
     command: str | None = None,
     licence: str = "Apache-2.0",
@@ -40,6 +41,8 @@ def release(
         name: NETWORK.TAG.
         out: the folder, which must be new.
         results: measured errors, with the command that measures them.
+        started_from: the folder of a release, as a `Path`, with what the training began with; weights that are at hand
+            by name are found by themselves.
         mean_with: weights of the same network, such as those that the training began from, by name, or as the `Path` of
             a release's folder: what is written is the mean of them all.
         command: what does the training again, in place of the recorded one with its folders of one machine.
@@ -47,8 +50,8 @@ def release(
 
     Raises:
         CheckpointError: there is no trained network in the folder.
-        ConfigError: a name that is not of this network, weights that float16 can't hold, a training that began from
-            weights that are not at hand, nor in the mean, or a mean with weights of another network.
+        ConfigError: a name that is not of this network, weights that float16 can't hold, a training that began with
+            others than `started_from` or any at hand, or a mean with weights of another network.
         InputError: the files are there already, or can't be written.
 
     Source of the mean: Wortsman et al., "Model soups", ICML 2022.
@@ -66,7 +69,8 @@ def release(
     kind = model.config["name"]
     if not name.startswith(f"{kind}.") or not name.removeprefix(f"{kind}."):
         raise ConfigError(f"weights of a {kind} are named {kind}.TAG, not {name!r}")
-    training = _with_origin(training, [*list_weights(f"{kind}.*"), *mean_with])
+    named = list_weights(f"{kind}.*")
+    training = _with_origin(training, named if started_from is None else [started_from, *named])
     if mean_with:
         training["mean_with"] = [_named(other, training) for other in mean_with]
     weights = _mean(model, mean_with)
@@ -115,7 +119,7 @@ def _named(weights: str | Path, training: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_origin(training: dict[str, Any], known: Sequence[str | Path]) -> dict[str, Any]:
-    """The record, with that of the weights that the training began from."""
+    """The record, with that of the weights that the training began with."""
     start = training.get("start")
     if start is None:
         return training
@@ -128,7 +132,7 @@ def _with_origin(training: dict[str, Any], known: Sequence[str | Path]) -> dict[
             return {**training, "started_from": {key: origin[key] for key in ("name", "sha256", "training")}}
     raise ConfigError(
         f"the training began from weights that are not at hand (SHA-256 of their tensors: {start}), so that nobody "
-        f"could tell where these are from; release those first"
+        f"could tell where these are from; release those first, and name the folder (--started-from)"
     )
 
 
@@ -139,6 +143,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", help="NETWORK.TAG")
     parser.add_argument("--out", required=True, help="new folder")
     parser.add_argument("--results", required=True, help="JSON file of measured errors")
+    parser.add_argument(
+        "--started-from", metavar="FOLDER", help="release of what the training began with, where it has no name here"
+    )
     parser.add_argument(
         "--mean-with",
         action="append",
@@ -158,6 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.name,
             options.out,
             results=results,
+            started_from=None if options.started_from is None else Path(options.started_from),
             mean_with=[Path(weights) if Path(weights).is_dir() else weights for weights in options.mean_with],
             command=options.command,
             licence=options.licence,

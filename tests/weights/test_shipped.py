@@ -200,7 +200,7 @@ def test_a_release_may_be_the_mean_with_other_weights(registered, tmp_path):
         release(tmp_path / "network", "coex.mean", tmp_path / "other", results={}, mean_with=["coex.mine"])
 
 
-def test_a_training_may_have_begun_with_weights_in_the_mean(tmp_path):
+def test_a_training_may_have_begun_with_a_release_that_has_no_name_here(tmp_path):
     torch.manual_seed(2)
     first, second = (build_model("coex", max_disparity=64) for _ in range(2))
     before, after = tmp_path / "before", tmp_path / "after"
@@ -214,14 +214,18 @@ def test_a_training_may_have_begun_with_weights_in_the_mean(tmp_path):
     record.write_text(json.dumps({"seed": 2, "start": started, "weights_sha256": ended}))
     with pytest.raises(ConfigError, match="not at hand"):
         release(after / "network", "coex.after", after / "alone", results={})
-    manifest = release(after / "network", "coex.after", after / "mean", results={}, mean_with=[before / "released"])
+    (tmp_path / "results.json").write_text("{}")
+    arguments = [after / "network", "coex.after", "--out", after / "mean", "--results", tmp_path / "results.json"]
+    arguments += ["--started-from", before / "released", "--mean-with", before / "released"]
+    assert main(list(map(str, arguments))) == 0
+    manifest = read_manifest(after / "mean")
     known = {"name": "coex.before", "sha256": read_manifest(before / "released")["sha256"]}
     assert manifest["training"]["mean_with"] == [known]
     assert manifest["training"]["started_from"] == {**known, "training": {"seed": 1, "weights_sha256": started}}
     # a mean is not what its last training came to
     record.write_text(json.dumps({"seed": 3, "start": ended}))
     with pytest.raises(ConfigError, match="not at hand"):
-        release(after / "network", "coex.next", after / "next", results={}, mean_with=[after / "mean"])
+        release(after / "network", "coex.next", after / "next", results={}, started_from=after / "mean")
 
 
 def test_releases_that_can_not_be(mine, tmp_path, capsys):
