@@ -1,10 +1,10 @@
 """Evaluates matchers on eleven real pairs and prints one table of their errors.
 
-    python benchmarks/real_pairs.py --weights coex.synthetic_v6
+    python benchmarks/real_pairs.py --weights coex.synthetic_v7
     python benchmarks/real_pairs.py --weights coex.ckpt --channel-order rgb
-    python benchmarks/real_pairs.py --weights coex.synthetic_v6 --precision float32 bfloat16
-    python benchmarks/real_pairs.py --weights coex.synthetic_v6 --scale 1 1.5 2
-    python benchmarks/real_pairs.py --weights coex.synthetic_v6 --weights coex_int8.xml
+    python benchmarks/real_pairs.py --weights coex.synthetic_v7 --precision float32 bfloat16
+    python benchmarks/real_pairs.py --weights coex.synthetic_v7 --scale 1 1.5 2
+    python benchmarks/real_pairs.py --weights coex.synthetic_v7 --weights coex_int8.xml
 
 The scenes are from Middlebury, SceneFlow, ETH3D and KITTI 2012. All pixels with known ground truth count, occluded ones
 too. OpenCV's semi-global matcher with 8 and 5 paths, holes filled, stands beside the networks.

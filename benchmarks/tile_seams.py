@@ -1,6 +1,6 @@
 """How far tiles differ from the whole pair, by the distance from a tile's edge, and what blending leaves of it.
 
-    python benchmarks/tile_seams.py --weights coex.synthetic_v6
+    python benchmarks/tile_seams.py --weights coex.synthetic_v7
 
 The pair is a textured surface without edges: disparities of 20 to 70 px. The overlap of `match_tiles` follows from it.
 """
@@ -76,7 +76,7 @@ def seams(model: StereoModel) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--weights", default="coex.synthetic_v6", help="shipped ones (default: %(default)s)")
+    parser.add_argument("--weights", default="coex.synthetic_v7", help="shipped ones (default: %(default)s)")
     try:
         model = load_weights(parser.parse_args().weights).eval()
     except StereoKitError as error:

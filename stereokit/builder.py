@@ -74,8 +74,8 @@ def build_model(model: str | Mapping[str, Any], *, pretrained: bool | str = Fals
 
     Args:
         model: a name, see `list_models`; or a whole configuration, such as the `config` of another network. A name with
-            a tag, "coex.synthetic_v6", stands for the network with these weights, see `stereokit.list_weights`.
-        pretrained: True loads the network's usual weights, a tag such as "synthetic_v6" those; then the network is in
+            a tag, "coex.synthetic_v7", stands for the network with these weights, see `stereokit.list_weights`.
+        pretrained: True loads the network's usual weights, a tag such as "synthetic_v7" those; then the network is in
             eval mode.
         overrides: for networks made of slots (`StereoModel`):
 

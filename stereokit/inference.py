@@ -147,7 +147,7 @@ class Predictor:
 
     Args:
         model: a network; the name of one that the library has weights for ("coex"), the name of weights
-            ("coex.synthetic_v6"), the folder or hub id of a saved network, or a file that `stereokit export` wrote
+            ("coex.synthetic_v7"), the folder or hub id of a saved network, or a file that `stereokit export` wrote
             (.onnx, .xml). A network is moved to the device and put into eval mode.
         device: "auto" (a GPU if there is one and the backend can use it), or what `torch.device` takes.
         backend: "torch", "compile", "onnxruntime" or "openvino"; "auto" is that of the exported file's suffix, and

@@ -71,8 +71,8 @@ def match_tiles(
         right: likewise.
         tile: height and width of a tile at most, overlaps included. A side that is at least the image's is not cut.
         max_disparity: D, in pixels: the columns on its left that a pixel's partner may be in.
-        overlap: in pixels. With 128 a trained CoEx differs by less than 0.1 px from what it makes of the whole pair on
-            a smooth scene.
+        overlap: in pixels. With 128 a trained CoEx differs by less than 0.1 px on average from what it makes of the
+            whole pair on a smooth scene.
         multiple: the tiles begin at multiples of this, so that the coarse grids inside a network lie as they do in the
             whole pair; `StereoModel.multiple`.
 

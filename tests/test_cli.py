@@ -97,9 +97,9 @@ def test_predict_goes_on_after_a_broken_pair(capsys: pytest.CaptureFixture[str],
 def test_predict_says_which_networks_have_weights(capsys: pytest.CaptureFixture[str], images: Path) -> None:
     pair = images / "left/a.png", images / "right/a.png"
     said = fails(capsys, "predict", *pair, "--model", "psmnet", "--out", images / "out")
-    assert "no weights for 'psmnet'; there are coex.synthetic_v6" in said
+    assert "no weights for 'psmnet'; there are coex.synthetic_v7" in said
     assert "give --weights" in said
-    said = fails(capsys, "predict", *pair, "--model", "psmnet", "--weights", "coex.synthetic_v6")
+    said = fails(capsys, "predict", *pair, "--model", "psmnet", "--weights", "coex.synthetic_v7")
     assert "are no weights of a psmnet" in said
     said = fails(capsys, "predict", *pair, "--top-k", "3", "--out", images / "out")
     assert "are for published checkpoints" in said
@@ -144,8 +144,8 @@ def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images
         (("left/a.png", "right/a.png", "--device", "tpu"), "'auto' or 'cpu' would do"),
         (("left/a.png", "right/a.png", "--model", "psmnet", "--weights", "SAVED"), "holds a coex, not a psmnet"),
         (("left/a.png", "right/a.png", "--weights", "nowhere"), "'nowhere' do not exist"),
-        (("left/a.png", "right/a.png", "--weights", "coex.synthetic_v1"), "did you mean 'coex.synthetic_v6'"),
-        (("left/a.png", "right/a.png", "--weights", "psmnet"), "no weights for 'psmnet'; there are coex.synthetic_v6"),
+        (("left/a.png", "right/a.png", "--weights", "coex.synthetic_v1"), "did you mean 'coex.synthetic_v7'"),
+        (("left/a.png", "right/a.png", "--weights", "psmnet"), "no weights for 'psmnet'; there are coex.synthetic_v7"),
         (("left/a.png", "right/a.png", "--weights", "left/program.pt2"), "which torch.export.load reads"),
         (("left/a.png", "right/a.png", "--top-k", "3", "--weights", "SAVED"), "are for published checkpoints"),
         (("left/a.png", "right/a.png", "--weights", "left/a.png"), "a.png"),

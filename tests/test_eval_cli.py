@@ -101,7 +101,7 @@ def test_a_function_of_ones_own_goes_through_the_same_door(capsys: pytest.Captur
 def test_the_weights_that_a_network_stands_for_are_recorded(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     assert run(capsys, "eval", "--weights", "coex", "--data", "folder:mine", "--limit", 1)[0] == 0
     record = json.loads((here / "evaluation/evaluation.json").read_text())
-    assert record["model"]["weights"] == "coex.synthetic_v6"
+    assert record["model"]["weights"] == "coex.synthetic_v7"
 
 
 def test_report_and_submission(capsys: pytest.CaptureFixture[str], here: Path) -> None:

@@ -31,7 +31,7 @@ __all__ = [
 
 MANIFEST_NAME = "manifest.json"
 
-DEFAULTS = {"coex": "coex.synthetic_v6"}
+DEFAULTS = {"coex": "coex.synthetic_v7"}
 """What `pretrained=True` stands for, by network."""
 
 
@@ -57,10 +57,10 @@ class Manifest(TypedDict):
     """Measured errors, with the command that measures them."""
 
 
-@WEIGHTS.register("coex.synthetic_v6")
-def coex_synthetic_v6() -> Path:
+@WEIGHTS.register("coex.synthetic_v7")
+def coex_synthetic_v7() -> Path:
     """CoEx, trained on scenes that this library renders and on nothing else."""
-    return Path(__file__).parent / "coex.synthetic_v6"
+    return Path(__file__).parent / "coex.synthetic_v7"
 
 
 def list_weights(pattern: str = "*") -> list[str]:
@@ -70,7 +70,7 @@ def list_weights(pattern: str = "*") -> list[str]:
         pattern: shell-style wildcard.
 
     >>> list_weights("coex.*")
-    ['coex.synthetic_v6']
+    ['coex.synthetic_v7']
     """
     return WEIGHTS.names(pattern)
 
@@ -82,7 +82,7 @@ def default_weights(network: str) -> str:
         ConfigError: there are none for this network, or several of other packages.
 
     >>> default_weights("coex")
-    'coex.synthetic_v6'
+    'coex.synthetic_v7'
     """
     if network in DEFAULTS:
         return DEFAULTS[network]
@@ -103,7 +103,7 @@ def named_weights(name: str) -> str | None:
         ConfigError: a network without weights, see `default_weights`.
 
     >>> named_weights("coex"), named_weights("runs/mine")
-    ('coex.synthetic_v6', None)
+    ('coex.synthetic_v7', None)
     """
     if os.path.exists(name):
         return None
@@ -116,7 +116,7 @@ def suggest_weights(name: str) -> str:
     """The end of an error message about a name that `named_weights` does not know.
 
     >>> suggest_weights("coex.synthetic_v1")
-    "did you mean 'coex.synthetic_v6'? Known: coex, coex.synthetic_v6"
+    "did you mean 'coex.synthetic_v7'? Known: coex, coex.synthetic_v7"
     """
     networks = [network for network in MODELS.names() if network in DEFAULTS or len(list_weights(f"{network}.*")) == 1]
     return suggest(name, [*networks, *list_weights()])
@@ -142,7 +142,7 @@ def read_manifest(name: str | Path) -> Manifest:
         ConfigError: there are none of this name.
         CheckpointError: the manifest is missing or damaged.
 
-    >>> read_manifest("coex.synthetic_v6")["licence"]
+    >>> read_manifest("coex.synthetic_v7")["licence"]
     'Apache-2.0'
     """
     path = weights_folder(name) / MANIFEST_NAME
@@ -167,7 +167,7 @@ def load_weights(name: str | Path, **overrides: Any) -> StereoModel:
         ConfigError: there are no weights of this name, or an override that can't be.
         CheckpointError: the file is missing or damaged, or does not fit the network.
 
-    >>> load_weights("coex.synthetic_v6", top_k=3).config["regression"]["k"]
+    >>> load_weights("coex.synthetic_v7", top_k=3).config["regression"]["k"]
     3
     """
     manifest = read_manifest(name)
