@@ -129,7 +129,7 @@ def build_model(model: str | Mapping[str, Any], *, pretrained: bool | str = Fals
 
 def _weights_of(model: str, pretrained: bool | str) -> str | None:
     """The name of the weights that were asked for."""
-    if model not in MODELS and model in WEIGHTS:
+    if model not in MODELS and (model in WEIGHTS or model.partition(".")[0] in MODELS):
         return model
     if not pretrained:
         return None

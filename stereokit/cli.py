@@ -199,7 +199,8 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scale",
         type=float,
-        help="match at this part of the resolution: 0.5 finds disparities twice as large, 2 finer detail (default: 1)",
+        help="match at this part of the resolution, at most 8: 0.5 finds disparities twice as large and less detail, 2 "
+        "finer detail and disparities half as large (default: 1)",
     )
 
 

@@ -186,7 +186,7 @@ class Predictor:
         too_large: TooLarge = "error",
         scale: float = 1.0,
     ) -> None:
-        if not 0 < scale <= MAX_SCALE:
+        if not isinstance(scale, int | float) or not 0 < scale <= MAX_SCALE:
             raise ConfigError(
                 f"scale={scale!r} is not above 0 and at most {MAX_SCALE}; 0.5 is half the resolution, 2 double"
             )

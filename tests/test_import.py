@@ -126,3 +126,10 @@ def test_every_module_can_be_the_first_that_is_imported_after_the_package():
     *failed, count = run(EVERY_MODULE_FIRST).splitlines()
     assert not failed, failed
     assert int(count.split()[0]) > 100
+
+
+def test_a_folder_of_the_same_name_beside_a_script_hides_nothing(tmp_path):
+    (tmp_path / "stereokit").mkdir()
+    script = tmp_path / "script.py"
+    script.write_text("from stereokit import Predictor")
+    subprocess.run([sys.executable, script], cwd=tmp_path, check=True, timeout=120)

@@ -125,7 +125,7 @@ def test_disparities_of_another_resolution_are_those_of_the_pair(limits: dict[st
         Predictor(ColumnNet(), "cpu", scale=0.3)(left, right)
     with pytest.raises(InputError, match=r"at scale 1\.5, .*: a pair of 180 x 120 pixels needs about"):
         Predictor(ColumnNet(), "cpu", scale=1.5, max_memory=1000)(left, right)
-    for wrong in (0, -1, 9, float("nan")):
+    for wrong in (0, -1, 9, float("nan"), "2", None):
         with pytest.raises(ConfigError, match="not above 0 and at most 8"):
             Predictor(ColumnNet(), "cpu", scale=wrong)
 

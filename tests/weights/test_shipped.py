@@ -112,6 +112,8 @@ def test_overrides_that_fit_and_overrides_that_do_not(registered):
 def test_weights_that_there_are_not(registered):
     with pytest.raises(ConfigError, match=r"unknown weights 'coex\.mime'; did you mean 'coex\.mine'"):
         build_model("coex", pretrained="mime")
+    with pytest.raises(ConfigError, match=r"unknown weights 'coex\.mime'; did you mean 'coex\.mine'"):
+        build_model("coex.mime")
     with pytest.raises(ConfigError, match="no weights for 'gcnet'"):
         build_model("gcnet", pretrained=True)
     with pytest.raises(ConfigError, match="unknown model 'coexx'"):
