@@ -161,7 +161,7 @@ class Predictor:
             reduced resolution; see `stereokit.tiling`.
         scale: match at this part of the resolution and bring the result back, see `match_scaled`; disparities are found
             up to max_disparity / scale. 0.5 finds larger ones and less detail, 1.5 or 2 smaller ones and finer detail,
-            which small images gain from, in 2 to 4 times the time.
+            which small images gain from, in 2 to 5 times the time.
 
     Raises:
         ConfigError: the device or the backend is unknown, absent, or not for this model; limits of memory for an
@@ -186,7 +186,7 @@ class Predictor:
         too_large: TooLarge = "error",
         scale: float = 1.0,
     ) -> None:
-        if not isinstance(scale, int | float) or not 0 < scale <= MAX_SCALE:
+        if not isinstance(scale, int | float | np.floating | np.integer) or not 0 < scale <= MAX_SCALE:
             raise ConfigError(
                 f"scale={scale!r} is not above 0 and at most {MAX_SCALE}; 0.5 is half the resolution, 2 double"
             )

@@ -200,9 +200,8 @@ class Recipe:
         """
         if self.scenes is None:
             raise ConfigError(f"recipe {self.name!r} renders no scenes: it trains on {self.data or 'files'}")
-        own = {key: tuple(value) if isinstance(value, list) else value for key, value in self.scenes.items()}
         try:
-            return SyntheticScenes(**{**own, **settings})
+            return SyntheticScenes(**{**_with_tuples(self.scenes), **settings})
         except TypeError as error:
             raise ConfigError(f"recipe {self.name!r}, [scenes]: {error}") from error
 
@@ -269,11 +268,14 @@ def _build(cls: type, values: Any, what: str) -> Any:
     for key in values:
         if key not in known:
             raise ConfigError(f"{what}: unknown key {key!r}; {suggest(key, known)}")
-    values = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
     try:
-        return cls(**values)
+        return cls(**_with_tuples(values))
     except TypeError as error:
         raise ConfigError(f"{what}: {error}") from error
+
+
+def _with_tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
 
 
 def _plain(value: Any) -> Any:

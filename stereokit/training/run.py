@@ -443,11 +443,15 @@ def _check_same_run(out: Path, before: Mapping[str, Any], asked: dict[str, Any])
     differing = min((_differing(*(_settled(run, parts) for run in runs)) for parts in (True, False)), key=len)
     for key, (value, wanted) in differing.items():
         if isinstance(value, Mapping) and isinstance(wanted, Mapping):
-            value, wanted = (dict(a.items() - b.items()) for a, b in ((value, wanted), (wanted, value)))
+            value, wanted = _without_common(value, wanted), _without_common(wanted, value)
         raise ConfigError(
             f"{str(out)!r} was started with {key} {_brief(value)}, not {_brief(wanted)}; resume it with the same, or "
             "choose another --out"
         )
+
+
+def _without_common(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key not in others or others[key] != value}
 
 
 def _brief(value: Any) -> str:

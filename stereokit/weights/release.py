@@ -29,7 +29,7 @@ def release(
     out: str | Path,
     *,
     results: Mapping[str, Any],
-    started_from: str | Path | None = None,
+    started_from: Path | None = None,
     mean_with: Sequence[str | Path] = (),
     command: str | None = None,
     licence: str = "Apache-2.0",
@@ -41,7 +41,7 @@ def release(
         name: NETWORK.TAG.
         out: the folder, which must be new.
         results: measured errors, with the command that measures them.
-        started_from: the folder of a release, as a `Path`, with what the training began with; weights that are at hand
+        started_from: the folder of a release with what the training began with; weights that are at hand
             by name are found by themselves.
         mean_with: weights of the same network, such as those that the training began from, by name, or as the `Path` of
             a release's folder: what is written is the mean of them all.
@@ -128,7 +128,7 @@ def _with_origin(training: dict[str, Any], known: Sequence[str | Path]) -> dict[
         before = origin["training"]
         # those of a run by itself are released as halves, and trained on as they were
         as_trained = None if "mean_with" in before else before.get("weights_sha256")
-        if start in (as_trained, state_sha256(load_weights(weights).state_dict())):
+        if start == as_trained or start == state_sha256(load_weights(weights).state_dict()):
             return {**training, "started_from": {key: origin[key] for key in ("name", "sha256", "training")}}
     raise ConfigError(
         f"the training began from weights that are not at hand (SHA-256 of their tensors: {start}), so that nobody "

@@ -299,6 +299,9 @@ def test_a_run_from_before_a_setting_existed_is_resumed(tmp_path):
     (tmp_path / "run.json").write_text(json.dumps(record))
     with pytest.raises(ConfigError, match="was started with loss"):
         train(with_length(replace(TINY, loss=Loss(cross_entropy=1)), steps=2), tmp_path, resume=True, **CPU)
+    enlarged = replace(TINY, augmentation=replace(TINY.augmentation, scale_range=(1.0, 1.5)))
+    with pytest.raises(ConfigError, match=r"with augmentation {'scale_range': \[1.0, 1.0\]}, not {'scale_range': \[1"):
+        train(with_length(enlarged, steps=2), tmp_path, resume=True, **CPU)
     assert train(with_length(TINY, steps=2), tmp_path, resume=True, **CPU).record["steps"] == 2
 
 
