@@ -19,8 +19,8 @@ import torch
 from tqdm import tqdm
 
 from stereokit import StereoKitError, StereoModel, build_model
-from stereokit.data.atomic import atomic_path
 from stereokit.data.synthetic import SyntheticScenes
+from stereokit.files import atomic_path
 from stereokit.metrics import StereoMetrics
 from stereokit.models.ablation import ABLATION, AblationRow
 from stereokit.training import Recipe, load_recipe, train, with_length

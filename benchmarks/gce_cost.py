@@ -16,12 +16,12 @@ import torch
 from tqdm import tqdm
 
 from stereokit import StereoKitError, build_model
-from stereokit.benchmark import Benchmark, Candidate, run_benchmark
-from stereokit.benchmark.candidates import BACKENDS
-from stereokit.data.atomic import check_free
-from stereokit.evaluation.tables import Table
-from stereokit.inference import choose_device
+from stereokit.bench import Benchmark, Candidate, run_benchmark
+from stereokit.bench.candidates import BACKENDS
+from stereokit.files import check_free
 from stereokit.optimize import keep_freed_memory
+from stereokit.runtime.device import choose_device
+from stereokit.tables import Table
 
 VARIANTS = {
     # overrides of coex, milliseconds in the paper

@@ -20,13 +20,13 @@ import torch
 from tqdm import tqdm
 
 from stereokit import StereoKitError
-from stereokit.benchmark import Benchmark, Candidate, Row, run_benchmark, source_of
-from stereokit.data.atomic import atomic_path, check_free
-from stereokit.evaluation.tables import Table
-from stereokit.inference import choose_device
-from stereokit.memory import format_memory
+from stereokit.bench import Benchmark, Candidate, Row, run_benchmark, source_of
+from stereokit.files import atomic_path, check_free
 from stereokit.optimize import keep_freed_memory
-from stereokit.provenance import machine, versions
+from stereokit.runtime.device import choose_device
+from stereokit.runtime.memory import format_memory
+from stereokit.runtime.provenance import machine, versions
+from stereokit.tables import Table
 
 MEGAPIXELS = (0.25, 0.5, 1, 2, 4, 8)
 LEVELS = (64, 128, 192, 256, 384, 512)

@@ -33,10 +33,10 @@ from stereokit import (
     load_published,
 )
 from stereokit.backends.compiled import compile_network
-from stereokit.inference import choose_device
-from stereokit.inputs import as_array
+from stereokit.data.inputs import as_array
 from stereokit.optimize import keep_freed_memory, prepare_for_inference
-from stereokit.optimize.convolution import cpu_has
+from stereokit.runtime.device import choose_device
+from stereokit.runtime.processor import cpu_has
 
 RIVAL = "published form"
 # form: whether the network is plain, prepared, compiled; its precision; whether freed memory is kept

@@ -1,4 +1,4 @@
-"""The memory that a pair takes, against what `stereokit.memory.estimate_memory` finds for the network in plain PyTorch.
+"""The memory that a pair takes, against what `estimate_memory` finds for the network in plain PyTorch.
 
     stereokit export --to onnx --out coex.onnx
     stereokit export --to openvino --out coex.xml
@@ -18,11 +18,12 @@ from typing import Any
 import torch
 
 from stereokit import StereoKitError, build_model
-from stereokit.backends import is_exported, open_backend
+from stereokit.backends import open_backend
 from stereokit.backends.exported import ExportedBackend
-from stereokit.benchmark.memory import PeakMemory
-from stereokit.evaluation.tables import Table
-from stereokit.memory import estimate_memory, format_memory
+from stereokit.runtime.memory import estimate_memory, format_memory
+from stereokit.runtime.memory.peak import PeakMemory
+from stereokit.tables import Table
+from stereokit.weights.places import is_exported
 
 SIZES = ((384, 1248), (768, 1248))
 

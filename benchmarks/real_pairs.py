@@ -22,12 +22,12 @@ from typing import Any
 from tqdm import tqdm
 
 from stereokit import StereoKitError, StereoModel, list_weights, load_published
-from stereokit.backends import is_exported
 from stereokit.data import read_disparity
-from stereokit.data.atomic import atomic_path
 from stereokit.data.datasets import Source, StereoDataset, StereoEntry, open_dataset
 from stereokit.evaluation import SGBM_VARIANTS, Evaluation, Matcher, NetworkMatcher, evaluate
+from stereokit.files import atomic_path
 from stereokit.inference import Predictor
+from stereokit.weights.places import is_exported
 
 ROOT = Path(__file__).resolve().parents[1] / ".." / "shared" / "data" / "real"
 MIDDLEBURY = {

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from stereokit import StereoKitError, StereoModel
-from stereokit.evaluation.tables import Table
-from stereokit.tiling import match_tiles, tile_grid
+from stereokit.inference.tiles import match_tiles, tile_grid
+from stereokit.tables import Table
 from stereokit.weights import load_weights
 
 DISTANCES = (0, 16, 32, 64, 96)

@@ -20,10 +20,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from stereokit.benchmark.memory import PeakMemory
-from stereokit.clock import synchronised_clock
 from stereokit.costs.shift import inner_products
-from stereokit.regression import superpixel_upsample
+from stereokit.runtime.clock import synchronised_clock
+from stereokit.runtime.memory.peak import PeakMemory
+from stereokit.upsampling.superpixel import superpixel_upsample
 
 MIB = 2**20
 

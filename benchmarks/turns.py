@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stereokit.clock import synchronised_clock
+from stereokit.runtime.clock import synchronised_clock
 
 # what passes on the wall, and what the processor's cores spend together; the second is less disturbed by others
 CLOCKS = (synchronised_clock, time.process_time)

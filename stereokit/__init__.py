@@ -1,23 +1,16 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
-from stereokit.aggregation import (
-    GCE,
-    AdditiveGuidance,
-    EncoderDecoder,
-    Hourglass,
-    NeighborhoodAggregation,
-    StackedHourglass,
-)
+from stereokit.aggregation import EncoderDecoder, Hourglass, StackedHourglass
 from stereokit.backbones import ResidualTower, SpatialPyramid, UNet
 from stereokit.builder import build_model
 from stereokit.costs import ConcatenationVolume, CorrelationVolume, GroupwiseCorrelationVolume
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
+from stereokit.guidance import GCE, AdditiveGuidance, NeighborhoodAggregation
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel, StereoOutput
 from stereokit.models import coex, gcnet, psmnet
-from stereokit.published import load_published
 from stereokit.registry import (
     AGGREGATIONS,
     BACKBONES,
@@ -30,8 +23,10 @@ from stereokit.registry import (
     list_components,
     list_models,
 )
-from stereokit.regression import SoftArgmin, SuperpixelUpsampler, TopKSoftArgmin
+from stereokit.regression import SoftArgmin, TopKSoftArgmin
+from stereokit.upsampling import SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
+from stereokit.weights.published import load_published
 
 __all__ = [
     "AGGREGATIONS",

@@ -1,12 +1,12 @@
 """Networks by name: recipes, overrides, and the configuration that rebuilds a network."""
 
-import json
 from collections.abc import Mapping
-from typing import Any, Literal, TypeAlias, TypedDict, cast
+from typing import Any, cast
 
 from torch import nn
 
 from stereokit.backbones.encoder import is_timm_model, near_timm_models
+from stereokit.config import Component, ModelConfig, Override, Presets, as_json, expand_top_k, rebuild
 from stereokit.contracts import FeatureInfo, GuidanceFactory, check_interface, check_max_disparity
 from stereokit.errors import ConfigError
 from stereokit.model import StereoModel
@@ -22,17 +22,9 @@ from stereokit.registry import (
     Registry,
     suggest,
 )
+from stereokit.weights.shipped import default_weights, load_weights
 
-__all__ = ["Component", "ModelConfig", "Override", "Presets", "build_model", "compose"]
-
-Component: TypeAlias = dict[str, Any]
-"""``{"name": .., **arguments}``"""
-
-Override: TypeAlias = str | Component | nn.Module
-"""A component's name, its name with arguments, or the block itself."""
-
-Presets: TypeAlias = Mapping[str, Mapping[str, Component]]
-"""Arguments that a recipe gives a component when it is chosen: slot, then name, then arguments."""
+__all__ = ["build_model", "compose"]
 
 SLOTS: dict[str, Registry] = {
     "backbone": BACKBONES,
@@ -42,31 +34,6 @@ SLOTS: dict[str, Registry] = {
     "regression": REGRESSIONS,
     "upsampler": UPSAMPLERS,
 }
-
-
-class ModelConfig(TypedDict):
-    """All that a network is built from: plain JSON, in and out.
-
-    >>> from stereokit import build_model
-    >>> config = build_model("coex").config
-    >>> config["regression"]
-    {'name': 'top_k', 'k': 2, 'test_k': None}
-    >>> build_model(json.loads(json.dumps(config))).config == config
-    True
-    """
-
-    name: str
-    backbone: Component
-    cost: Component
-    guidance: Component
-    guidance_at: Literal["one", "full"]
-    aggregation: Component
-    regression: Component
-    upsampler: Component
-    max_disparity: int
-    mean: list[float]
-    std: list[float]
-    padding: Literal["replicate", "zeros"]
 
 
 def build_model(model: str | Mapping[str, Any], *, pretrained: bool | str = False, **overrides: Any) -> Any:
@@ -105,26 +72,10 @@ def build_model(model: str | Mapping[str, Any], *, pretrained: bool | str = Fals
         weights = _weights_of(model, pretrained)
         if weights is None:
             return MODELS.build(model, overrides)
-        # built on this module
-        from stereokit.weights import load_weights
-
         return load_weights(weights, **overrides)
     if pretrained:
         raise ConfigError("pretrained weights belong to a network's name, not to a configuration")
-    if not isinstance(model, Mapping):
-        raise ConfigError(f"a model is a name or a configuration, not {model!r}; {suggest('', MODELS.names())}")
-    settings = dict(model)
-    name = settings.pop("name", None)
-    if not isinstance(name, str):
-        raise ConfigError(f"a configuration holds the name of its model, one of {', '.join(MODELS.names())}")
-    if "top_k" in overrides:
-        settings.pop("regression", None)
-    for slot, override in overrides.items():
-        # a dict without a name changes arguments of what the configuration holds
-        if isinstance(override, Mapping) and "name" not in override and isinstance(settings.get(slot), Mapping):
-            override = {**settings[slot], **override}
-        settings[slot] = override
-    return MODELS.build(name, settings)
+    return rebuild(model, **overrides)
 
 
 def _weights_of(model: str, pretrained: bool | str) -> str | None:
@@ -136,8 +87,6 @@ def _weights_of(model: str, pretrained: bool | str) -> str | None:
     MODELS.get(model)
     if isinstance(pretrained, str):
         return f"{model}.{pretrained}"
-    from stereokit.weights import default_weights
-
     return default_weights(model)
 
 
@@ -154,7 +103,7 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     """
     overrides = dict(overrides)
     pretrained = bool(overrides.pop("pretrained_backbone", False))
-    _expand_top_k(overrides)
+    expand_top_k(overrides)
     for key in overrides:
         if key not in recipe or key == "name":
             known = [k for k in recipe if k != "name"] + ["pretrained_backbone", "top_k"]
@@ -188,7 +137,7 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
         mean=choice["mean"],
         std=choice["std"],
         padding=choice["padding"],
-        config=_as_json(resolved),
+        config=as_json(resolved),
     )
 
 
@@ -286,7 +235,7 @@ class _SinglePlace:
         if self.taken:
             raise ConfigError(
                 f"guidance {kind} was passed in as one module, but the aggregation has several places for it; "
-                "guidance_at='one' would do, or register the class and pass its name"
+                "use guidance_at='one', or register the class and pass its name"
             )
         self.taken = True
         for what, wanted in (("guide_channels", guide_channels), ("volume_channels", volume_channels)):
@@ -294,20 +243,3 @@ class _SinglePlace:
             if has != wanted:
                 raise ConfigError(f"guidance {kind} has {what} {has}, but the aggregation's place for it has {wanted}")
         return self.block
-
-
-def _expand_top_k(overrides: dict[str, Any]) -> None:
-    if "top_k" not in overrides:
-        return
-    if "regression" in overrides:
-        raise ConfigError("top_k=.. is short for a regression: give one of top_k and regression")
-    overrides["regression"] = {"name": "top_k", "k": overrides.pop("top_k")}
-
-
-def _as_json(config: dict[str, Any]) -> Any:
-    try:
-        return json.loads(json.dumps(config))
-    except (TypeError, ValueError) as error:
-        raise ConfigError(
-            f"the arguments of components are plain JSON values, so that a network can be saved: {error}"
-        ) from error

@@ -238,7 +238,7 @@ def check_contracts(
     if regression.min_levels > levels:
         raise ConfigError(
             f"{names['regression']} needs {regression.min_levels} levels (its k), but {names['aggregation']} with "
-            f"{names['upsampler']} gives it {levels}; k from 1 to {levels} would do"
+            f"{names['upsampler']} gives it {levels}; use k from 1 to {levels}"
         )
 
 
@@ -248,7 +248,7 @@ def regression_levels(max_disparity: int, logits_stride: int, upsampler: Upsampl
 
 
 def check_max_disparity(max_disparity: int, multiple: int, blocks: str) -> None:
-    """Raises `ConfigError` unless `max_disparity` is a positive multiple of `multiple`; says which would do."""
+    """Raises `ConfigError` unless `max_disparity` is a positive multiple of `multiple`; use says which."""
     if isinstance(max_disparity, bool) or not isinstance(max_disparity, int):
         raise ConfigError(f"max_disparity is a whole number of pixels, not {max_disparity!r}")
     if max_disparity > 0 and max_disparity % multiple == 0:
@@ -256,8 +256,7 @@ def check_max_disparity(max_disparity: int, multiple: int, blocks: str) -> None:
     below = max_disparity // multiple * multiple
     would_do = " or ".join(str(d) for d in (below, below + multiple) if d > 0) if max_disparity > 0 else str(multiple)
     raise ConfigError(
-        f"max_disparity {max_disparity} is not a positive multiple of {multiple}, which {blocks} need; "
-        f"{would_do} would do"
+        f"max_disparity {max_disparity} is not a positive multiple of {multiple}, which {blocks} need; use {would_do}"
     )
 
 

@@ -19,14 +19,14 @@ from stereokit.contracts import (
     input_multiple,
     regression_levels,
 )
-from stereokit.data.atomic import atomic_path
+from stereokit.data.inputs import as_float
 from stereokit.errors import ConfigError, InputError
-from stereokit.inputs import as_float
-from stereokit.pretrained import load_folder, save_folder
-from stereokit.regression.interpolation import bilinear_upsample
+from stereokit.files import atomic_path
+from stereokit.upsampling.interpolation import bilinear_upsample
+from stereokit.weights.folder import load_folder, save_folder
 
 if TYPE_CHECKING:
-    from stereokit.builder import ModelConfig
+    from stereokit.config import ModelConfig
 
 __all__ = ["StereoModel", "StereoOutput"]
 
@@ -118,7 +118,7 @@ class StereoModel(
             max_disparity=max_disparity,
         )
         if padding not in ("replicate", "zeros"):
-            raise ConfigError(f"padding={padding!r} is unknown; 'replicate' or 'zeros' would do")
+            raise ConfigError(f"padding={padding!r} is unknown; use 'replicate' or 'zeros'")
         self.backbone = backbone
         self.cost = cost
         self.aggregation = aggregation

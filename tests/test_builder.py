@@ -20,12 +20,12 @@ from stereokit import (
     coex,
     list_models,
 )
-from stereokit.aggregation.guidance import GuidancePoint, NoGuidance
 from stereokit.builder import compose
+from stereokit.guidance import GuidancePoint, NoGuidance
 from stereokit.models.ablation import ABLATION
 from stereokit.models.coex import RECIPE
 from stereokit.registry import COSTS, MODELS
-from stereokit.regression import BilinearUpsampler, TrilinearUpsampler
+from stereokit.upsampling.interpolation import BilinearUpsampler, TrilinearUpsampler
 from tests.backbones.test_encoder import ENCODERS
 
 
@@ -98,7 +98,7 @@ def test_a_guidance_instance_takes_the_one_place():
     block = GCE(96, 8)
     model = build_model("coex", max_disparity=64, guidance=block, guidance_at="one")
     assert model.aggregation.stem_guidance.block is block
-    assert model.config["guidance"] == {"instance": "stereokit.aggregation.guidance.excitation.GCE"}
+    assert model.config["guidance"] == {"instance": "stereokit.guidance.excitation.GCE"}
     run(model)
     assert all(p.grad is not None for p in block.parameters())
 
@@ -114,13 +114,13 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        ({"guidance": GCE(96, 8)}, ["GCE", "several places", "guidance_at='one' would do"]),
+        ({"guidance": GCE(96, 8)}, ["GCE", "several places", "use guidance_at='one'"]),
         ({"guidance": GCE(95, 8), "guidance_at": "one"}, ["GCE", "guide_channels 95", "has 96"]),
         ({"guidance": GCE(96, 9), "guidance_at": "one"}, ["GCE", "volume_channels 9", "has 8"]),
         ({"guidance": "gec"}, ["unknown guidance 'gec'", "'gce'"]),
         ({"guidance": {"name": "gce", "window": 3}}, ["guidance 'gce' takes no argument 'window'"]),
         ({"guidance": {"name": "neighborhood", "window": 2}}, ["window=2"]),
-        ({"guidance_at": "none"}, ["guidance_at='none'", "'one' or 'full' would do, or guidance='none'"]),
+        ({"guidance_at": "none"}, ["guidance_at='none'", "use 'one' or 'full', or guidance='none'"]),
         ({"guidance": "none", "guidance_at": "two"}, ["guidance_at='two'"]),
         ({"cost": "corelation"}, ["unknown cost 'corelation'", "'correlation'"]),
         ({"cost": {"projektion": [8, 8]}}, ["cost 'correlation' takes no argument 'projektion'", "'projection'"]),
@@ -146,21 +146,21 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"backbone": {"encoder": "resnet81"}}, ["unknown timm model 'resnet81'", "'resnet18'"]),
         ({"backbone": "vit_tiny_patch16_224"}, ["no features at stride 4, 8, 32"]),
         ({"top_k": 0}, ["k=0", "whole number"]),
-        ({"top_k": 49}, ["TopKSoftArgmin", "Hourglass", "49", "48", "k from 1 to 48 would do"]),
-        ({"regression": {"test_k": 49}}, ["TopKSoftArgmin", "49", "k from 1 to 48 would do"]),
+        ({"top_k": 49}, ["TopKSoftArgmin", "Hourglass", "49", "48", "use k from 1 to 48"]),
+        ({"regression": {"test_k": 49}}, ["TopKSoftArgmin", "49", "use k from 1 to 48"]),
         ({"top_k": 2, "regression": "soft_argmin"}, ["one of top_k and regression"]),
         (
             {"max_disparity": 100},
-            ["100", "multiple of 32", "'unet'", "'hourglass'", "96 or 128 would do"],
+            ["100", "multiple of 32", "'unet'", "'hourglass'", "use 96 or 128"],
         ),
-        ({"max_disparity": 30}, ["30", "multiple of 32", "; 32 would do"]),
-        ({"max_disparity": 2}, ["2", "multiple of 32", "; 32 would do"]),
-        ({"max_disparity": 0}, ["max_disparity 0", "; 32 would do"]),
-        ({"max_disparity": -64}, ["max_disparity -64", "; 32 would do"]),
+        ({"max_disparity": 30}, ["30", "multiple of 32", "; use 32"]),
+        ({"max_disparity": 2}, ["2", "multiple of 32", "; use 32"]),
+        ({"max_disparity": 0}, ["max_disparity 0", "; use 32"]),
+        ({"max_disparity": -64}, ["max_disparity -64", "; use 32"]),
         ({"max_disparity": True}, ["whole number of pixels, not True"]),
         ({"max_disparity": "192"}, ["whole number of pixels, not '192'"]),
         ({"max_disparity": 192.0}, ["whole number of pixels, not 192.0"]),
-        ({"padding": "reflect"}, ["padding='reflect'", "'replicate' or 'zeros' would do"]),
+        ({"padding": "reflect"}, ["padding='reflect'", "use 'replicate' or 'zeros'"]),
         ({"mean": [0.5]}, ["mean is three numbers", "[0.5]"]),
         ({"std": [1, 1, 0]}, ["std is three positive numbers", "[1, 1, 0]"]),
         ({"std": "abc"}, ["std is three positive numbers", "'abc'"]),

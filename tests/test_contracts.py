@@ -64,12 +64,12 @@ def test_what_fits_passes():
         ({"aggregation__upscale": 2}, ["aggregation Sum", "upsampler Lens", "2", "4"]),
         ({"upsampler__scale": 8}, ["aggregation Sum", "upsampler Lens", "4", "8"]),
         ({"upsampler__guide_channels": {2: 9}}, ["backbone Eyes", "upsampler Lens", "stride 2", "8", "9"]),
-        ({"regression__min_levels": 17}, ["regression Choice", "aggregation Sum", "17", "16", "1 to 16 would do"]),
+        ({"regression__min_levels": 17}, ["regression Choice", "aggregation Sum", "17", "16", "use k from 1 to 16"]),
         (
             {"regression__min_levels": 65, "upsampler__domain": "volume"},
-            ["regression Choice", "aggregation Sum", "65", "64", "1 to 64 would do"],
+            ["regression Choice", "aggregation Sum", "65", "64", "use k from 1 to 64"],
         ),
-        ({"aggregation__multiple": 5}, ["backbone Eyes", "aggregation Sum", "64", "20", "60 or 80 would do"]),
+        ({"aggregation__multiple": 5}, ["backbone Eyes", "aggregation Sum", "64", "20", "use 60 or 80"]),
     ],
 )
 def test_an_error_names_both_blocks_and_both_numbers(changes, words):

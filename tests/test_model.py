@@ -22,7 +22,7 @@ from stereokit import (
 from stereokit.contracts import FeatureInfo, Features
 from stereokit.losses import stereo_loss
 from stereokit.optimize import prepare_for_training
-from stereokit.regression import BilinearUpsampler, TrilinearUpsampler, bilinear_upsample
+from stereokit.upsampling.interpolation import BilinearUpsampler, TrilinearUpsampler, bilinear_upsample
 
 D = 64
 
@@ -391,7 +391,7 @@ def test_confidence_is_that_of_the_regression():
         ({"aggregation": Similarity(s4=40)}, ["backbone Patches", "aggregation Similarity", "48", "40"]),
         ({"regression": TopKSoftArgmin(9)}, ["regression TopKSoftArgmin", "9", "8"]),
         ({"upsampler": nn.Identity()}, ["upsampler Identity lacks scale, domain, learned, guide_channels"]),
-        ({"max_disparity": 30}, ["30", "28 or 32 would do"]),
+        ({"max_disparity": 30}, ["30", "use 28 or 32"]),
         ({"padding": "mirror"}, ["padding='mirror'"]),
         ({"mean": [0.5, 0.5]}, ["mean is three numbers"]),
         ({"std": [0.5, 0.5, -1]}, ["std is three positive numbers"]),

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from stereokit.aggregation.guidance.point import GuidancePlan, GuidancePoint
 from stereokit.contracts import GuidanceFactory, GuidancePlacement, Guides
+from stereokit.guidance.point import GuidancePlan, GuidancePoint
 from stereokit.layers import ConvNormAct, crop_to, init_convolutions, relu
 from stereokit.registry import AGGREGATIONS
 

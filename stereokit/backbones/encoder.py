@@ -37,10 +37,10 @@ class TimmEncoder(nn.Module):
         if missing:
             raise ConfigError(
                 f"timm model {name!r} has no features at stride {', '.join(missing)} (it has "
-                f"{', '.join(map(str, index))}); a pyramid such as 'mobilenetv2_100' or 'resnet18' would do"
+                f"{', '.join(map(str, index))}); use a pyramid such as 'mobilenetv2_100' or 'resnet18'"
             )
         if any(getattr(module, "strict_img_size", False) for module in model.modules()):
-            raise ConfigError(f"timm model {name!r} takes images of one fixed size; a convolutional one would do")
+            raise ConfigError(f"timm model {name!r} takes images of one fixed size; use a convolutional one")
         self.index = {s: index[s] for s in STRIDES}
         self.channels = {s: int(model.feature_info.channels()[i]) for s, i in self.index.items()}
         self.channels_last = str(getattr(model, "output_fmt", "NCHW")).endswith("NHWC")

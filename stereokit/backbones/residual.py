@@ -3,44 +3,10 @@
 from torch import Tensor, nn
 
 from stereokit.contracts import FeatureInfo, Features
-from stereokit.layers import Activation, ConvNormAct, init_convolutions, relu
+from stereokit.layers import ConvNormAct, ResidualBlock, init_convolutions, relu
 from stereokit.registry import BACKBONES
 
-__all__ = ["ResidualBlock", "ResidualTower"]
-
-
-class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions and a skip, without an activation after the sum.
-
-    Args:
-        in_channels: of the input.
-        out_channels: of the output; where it or the size differs, the skip is a 1x1 convolution with batch norm.
-        stride: of the first convolution.
-        dilation: of both.
-        last_activation: of the second convolution, before the sum.
-    """
-
-    def __init__(
-        self,
-        in_channels: int,
-        out_channels: int,
-        *,
-        stride: int = 1,
-        dilation: int = 1,
-        last_activation: Activation | None = None,
-    ) -> None:
-        super().__init__()
-        self.conv1 = ConvNormAct(in_channels, out_channels, stride=stride, dilation=dilation, activation=relu)
-        self.conv2 = ConvNormAct(out_channels, out_channels, dilation=dilation, activation=last_activation)
-        self.skip = (
-            nn.Identity()
-            if stride == 1 and in_channels == out_channels
-            else ConvNormAct(in_channels, out_channels, 1, stride=stride, activation=None)
-        )
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(B, in_channels, H, W) to (B, out_channels, H / stride, W / stride)."""
-        return self.conv2(self.conv1(x)) + self.skip(x)
+__all__ = ["ResidualTower"]
 
 
 @BACKBONES.register("residual")

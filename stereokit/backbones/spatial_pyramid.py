@@ -6,9 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stereokit.backbones.residual import ResidualBlock
 from stereokit.contracts import FeatureInfo, Features
-from stereokit.layers import ConvNormAct, init_convolutions, relu
+from stereokit.layers import ConvNormAct, ResidualBlock, init_convolutions, relu
 from stereokit.registry import BACKBONES
 
 __all__ = ["SpatialPyramid"]

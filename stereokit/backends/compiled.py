@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.estimate import Estimate
+from stereokit.data.inputs import as_float
 from stereokit.errors import ConfigError
-from stereokit.inputs import as_float
 from stereokit.optimize import PreparedNetwork
 
 __all__ = ["CompiledBackend", "compile_cache", "compile_network", "room_for_versions"]
@@ -92,7 +92,7 @@ class CompiledBackend(TorchBackend):
             reason = str(cause).strip().split("\n")[0] or type(cause).__name__
             raise ConfigError(
                 f"backend 'compile' can't compile here ({reason}): it needs a C++ compiler, and on a GPU Triton; "
-                "backend 'torch' would do"
+                "use backend 'torch'"
             ) from error
         self._seen.add(left.shape)
         return time.perf_counter() - start

@@ -11,7 +11,7 @@ from stereokit.errors import ConfigError
 from stereokit.model import StereoOutput
 from stereokit.optimize import PreparedNetwork, prepare_for_inference
 from stereokit.optimize.inference import EXAMPLE_SIZE
-from stereokit.precision import DTYPES
+from stereokit.runtime.precision import DTYPES
 
 __all__ = ["TorchBackend"]
 

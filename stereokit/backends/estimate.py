@@ -7,7 +7,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from stereokit.inputs import as_array
+from stereokit.data.inputs import as_array
 from stereokit.model import StereoOutput
 
 __all__ = ["Backend", "Estimate"]

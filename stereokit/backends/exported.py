@@ -14,10 +14,10 @@ from torch import Tensor, nn
 from stereokit.backends.estimate import Estimate
 from stereokit.backends.metadata import ExportMetadata
 from stereokit.builder import build_model
+from stereokit.data.inputs import as_float
 from stereokit.errors import ConfigError, InputError
-from stereokit.inputs import as_float
-from stereokit.memory import estimate_memory
 from stereokit.model import check_least_size
+from stereokit.runtime.memory import estimate_memory
 
 __all__ = ["ExportedBackend"]
 
@@ -75,7 +75,7 @@ class ExportedBackend(ABC):
             reason = "was exported for one size alone" if self.metadata.size else "does not name its components"
             raise ConfigError(
                 f"pairs can't be held to limits of memory with {self.path!r}, which {reason}; "
-                "a file of a registered network, exported without a size, would do"
+                "use a file of a registered network, exported without a size"
             )
         # the random weights are nobody's, and so is their draw
         with torch.random.fork_rng(devices=[]):

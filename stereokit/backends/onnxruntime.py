@@ -57,7 +57,7 @@ class OnnxRuntimeBackend(ExportedBackend):
         if PROVIDERS[self.device.type] not in self._session.get_providers():
             raise ConfigError(
                 f"ONNX Runtime can't use device {str(self.device)!r} here, though built for it: its libraries do "
-                "not load; device 'cpu' would do"
+                "not load; use device 'cpu'"
             )
         self._session.disable_fallback()
         self.metadata = ExportMetadata.read(self._session.get_modelmeta().custom_metadata_map, self.path)
@@ -88,6 +88,6 @@ class OnnxRuntimeBackend(ExportedBackend):
         if chosen is None or chosen.type not in usable:
             raise ConfigError(
                 f"backend 'onnxruntime' can't use device {str(device)!r} here; "
-                f"{' or '.join(map(repr, ('auto', *usable)))} would do"
+                f"use {' or '.join(map(repr, ('auto', *usable)))}"
             )
         return chosen

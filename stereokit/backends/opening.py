@@ -11,33 +11,13 @@ from stereokit.backends.eager import TorchBackend
 from stereokit.backends.estimate import Backend
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.registry import suggest
+from stereokit.weights.places import FILE_BACKENDS
 
-__all__ = ["BACKENDS", "FILE_BACKENDS", "check_no_program", "is_exported", "open_backend"]
+__all__ = ["BACKENDS", "open_backend"]
 
 TORCH_BACKENDS = {"torch": TorchBackend, "compile": CompiledBackend}
-FILE_BACKENDS = {".onnx": "onnxruntime", ".xml": "openvino"}
-"""By the suffix of the file that they run."""
-
 BACKENDS = (*TORCH_BACKENDS, *FILE_BACKENDS.values())
 """All names, besides "auto"."""
-
-
-def is_exported(place: object) -> bool:
-    """Whether this is the path of an exported file, going by its suffix.
-
-    >>> is_exported("model.onnx"), is_exported("saved_network")
-    (True, False)
-    """
-    return isinstance(place, str | os.PathLike) and Path(place).suffix.lower() in FILE_BACKENDS
-
-
-def check_no_program(path: str) -> None:
-    """Raises `CheckpointError` for a file with a program of `torch.export`, going by its suffix: no backend runs it."""
-    if Path(path).suffix.lower() == ".pt2" and os.path.isfile(path):
-        raise CheckpointError(
-            f"{path!r} is a program of torch.export, which torch.export.load reads; Predictor takes exported files "
-            f"that end in {' or '.join(FILE_BACKENDS)}, or the network itself"
-        )
 
 
 def open_backend(
@@ -74,7 +54,7 @@ def open_backend(
     path = os.fspath(model)
     named = FILE_BACKENDS[Path(path).suffix.lower()]
     if backend not in ("auto", named):
-        raise ConfigError(f"{path!r} is run by backend {named!r}, not {backend!r}; 'auto' would do")
+        raise ConfigError(f"{path!r} is run by backend {named!r}, not {backend!r}; use 'auto'")
     if not os.path.isfile(path):
         raise CheckpointError(f"the exported file {path!r} does not exist")
     # these import what reads the file, which not everybody has

@@ -54,8 +54,7 @@ class OpenVinoBackend(ExportedBackend):
         kind = "cpu" if device == "auto" else str(device)
         if kind not in usable:
             raise ConfigError(
-                f"backend 'openvino' can't use device {kind!r} here; "
-                f"{' or '.join(map(repr, ('auto', *usable)))} would do"
+                f"backend 'openvino' can't use device {kind!r} here; use {' or '.join(map(repr, ('auto', *usable)))}"
             )
         super().__init__(path, torch.device(kind))
         try:
@@ -69,7 +68,7 @@ class OpenVinoBackend(ExportedBackend):
         quantised = self.metadata.precision == "int8"
         if (quantised and wanted != "int8") or (not quantised and wanted not in HINTS):
             would_do = "'int8'" if quantised else ", ".join(map(repr, HINTS))
-            raise ConfigError(f"{self.path!r} can't compute in {wanted}; {would_do} would do")
+            raise ConfigError(f"{self.path!r} can't compute in {wanted}; use {would_do}")
         # what is left of an int8 file in floating point stays single; without a hint OpenVINO chooses by itself
         settings: dict[str, object] = {"INFERENCE_PRECISION_HINT": HINTS.get(wanted, "f32")}
         if kind == "cpu":

@@ -166,7 +166,7 @@ class GroupwiseCorrelationVolume(nn.Module):
         channels = self.projection.out_channels
         if groups < 1 or channels % groups:
             fitting = [g for g in range(1, channels + 1) if channels % g == 0]
-            raise ConfigError(f"groups={groups} does not divide the {channels} channels compared; {fitting} would do")
+            raise ConfigError(f"groups={groups} does not divide the {channels} channels compared; use {fitting}")
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Left and right features to a cost volume."""

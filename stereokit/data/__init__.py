@@ -1,6 +1,5 @@
 """Stereo data: image, disparity and calibration files, data sets, augmentation."""
 
-from stereokit.data.atomic import atomic_path
 from stereokit.data.calibration import Calibration, read_calibration
 from stereokit.data.datasets import (
     DATASETS,
@@ -14,6 +13,7 @@ from stereokit.data.disparity_files import read_disparity, write_disparity
 from stereokit.data.disparity_png import read_kitti_png, write_kitti_png
 from stereokit.data.images import read_image, write_image
 from stereokit.data.pfm import read_pfm, write_pfm
+from stereokit.files import atomic_path
 
 __all__ = [
     "DATASETS",

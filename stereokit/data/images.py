@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.data.atomic import atomic_path
 from stereokit.data.image_header import ImageHeader, read_image_header
 from stereokit.errors import InputError
+from stereokit.files import atomic_path
 
 __all__ = [
     "IMAGE_SUFFIXES",

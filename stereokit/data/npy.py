@@ -11,7 +11,6 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.data.atomic import atomic_path
 from stereokit.data.disparity_arrays import (
     Disparity,
     PathLike,
@@ -21,6 +20,7 @@ from stereokit.data.disparity_arrays import (
 )
 from stereokit.data.images import read_file_bytes
 from stereokit.errors import InputError
+from stereokit.files import atomic_path
 
 __all__ = ["NPY_MAGIC", "read_npy", "read_npz", "write_npy", "write_npz"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stereokit.data.images import IMAGE_SUFFIXES
 from stereokit.errors import InputError
-from stereokit.wording import counted
+from stereokit.tables import counted
 
 __all__ = ["ImagePair", "match_pairs"]
 

@@ -7,7 +7,6 @@ import re
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.data.atomic import atomic_path
 from stereokit.data.disparity_arrays import (
     Disparity,
     PathLike,
@@ -17,6 +16,7 @@ from stereokit.data.disparity_arrays import (
 )
 from stereokit.data.images import read_file_bytes
 from stereokit.errors import InputError
+from stereokit.files import atomic_path
 
 __all__ = ["read_pfm", "write_pfm"]
 

@@ -8,16 +8,16 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 
-from stereokit.clock import synchronised_clock
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry, StereoSample
 from stereokit.data.datasets.opening import open_dataset
 from stereokit.data.disparity_arrays import Disparity
+from stereokit.data.inputs import as_array
 from stereokit.errors import ConfigError, InputError, StereoKitError
 from stereokit.evaluation.matcher import BatchMatcher, Matcher, describe_matcher
 from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
-from stereokit.inputs import as_array
 from stereokit.metrics import StereoMetrics
-from stereokit.provenance import machine, versions
+from stereokit.runtime.clock import synchronised_clock
+from stereokit.runtime.provenance import machine, versions
 
 __all__ = ["Observer", "evaluate"]
 

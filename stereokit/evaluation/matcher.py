@@ -10,12 +10,12 @@ import torch
 
 from stereokit.backends.eager import TorchBackend
 from stereokit.data.disparity_arrays import Disparity
+from stereokit.data.inputs import to_pair
 from stereokit.inference import Predictor
-from stereokit.inputs import to_pair
-from stereokit.memory import running_out_as
-from stereokit.pretrained import WEIGHTS_NAME
-from stereokit.provenance import file_sha256, state_sha256
+from stereokit.runtime.memory import running_out_as
+from stereokit.runtime.provenance import file_sha256, state_sha256
 from stereokit.weights import named_weights, weights_folder
+from stereokit.weights.folder import WEIGHTS_NAME
 
 __all__ = ["BatchMatcher", "Image", "Matcher", "NetworkMatcher", "describe_matcher"]
 

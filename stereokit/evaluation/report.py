@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.data.atomic import atomic_path, check_free, make_folder
 from stereokit.data.datasets.dataset import StereoSample
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.images import to_uint8
 from stereokit.errors import ConfigError
 from stereokit.evaluation.report_page import Card, Figure, page
 from stereokit.evaluation.results import Evaluation, PairResult
-from stereokit.viz import colorize, error_picture, robust_range
+from stereokit.files import atomic_path, check_free, make_folder
+from stereokit.pictures import colorize, error_picture, robust_range
 
 __all__ = ["Report", "worst_first"]
 

@@ -9,9 +9,10 @@ from string import Template
 from typing import Any
 
 from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
-from stereokit.evaluation.tables import NOTHING, Table, dataset_table, notes, pair_table, share
-from stereokit.viz import KITTI_ERROR_COLORS, NO_PREDICTION_COLOR
-from stereokit.wording import counted
+from stereokit.evaluation.tables import NOTHING, dataset_table, notes, pair_table, share
+from stereokit.pictures import KITTI_ERROR_COLORS
+from stereokit.pictures.errors import NO_PREDICTION_COLOR
+from stereokit.tables import Table, counted
 
 __all__ = ["Card", "Figure", "page"]
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from stereokit.data.atomic import atomic_path, check_free, make_folder
+from stereokit.files import atomic_path, check_free, make_folder
 
 __all__ = ["DatasetResult", "Evaluation", "Metrics", "PairResult", "result_paths"]
 
@@ -67,7 +67,7 @@ class Evaluation:
         model: what was evaluated, see `describe_matcher`.
         settings: the thresholds, the ceiling, the limit, the batch size and the untimed runs.
         masks: the rules by which pixels count, in words.
-        machine: see `stereokit.provenance.machine`.
+        machine: see `stereokit.runtime.provenance.machine`.
         versions: of Python and the libraries.
         started: time in UTC, ISO 8601.
         command: the command line, if there was one.

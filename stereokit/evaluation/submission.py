@@ -4,12 +4,12 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from stereokit.data.atomic import check_free, make_folder
 from stereokit.data.datasets.dataset import StereoDataset, StereoSample
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.disparity_png import write_kitti_png
 from stereokit.errors import InputError
 from stereokit.evaluation.results import PairResult
+from stereokit.files import check_free, make_folder
 
 __all__ = ["KittiSubmission"]
 

@@ -1,13 +1,12 @@
 """The numbers of an evaluation as rows of text."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from stereokit.evaluation.results import DatasetResult, PairResult
 from stereokit.metrics import KITTI_METRICS
-from stereokit.wording import counted
+from stereokit.tables import Table, counted
 
-__all__ = ["Table", "benchmark_line", "dataset_table", "format_dataset", "notes", "pair_table", "share"]
+__all__ = ["benchmark_line", "dataset_table", "format_dataset", "notes", "pair_table", "share"]
 
 REGION_NAMES = {
     "": "all",
@@ -17,23 +16,6 @@ REGION_NAMES = {
     "_fg": "foreground",
 }
 NOTHING = "no pixels"
-
-
-@dataclass(frozen=True)
-class Table:
-    """Column headings, and cells; the first column is text, the others are numbers."""
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-    def __str__(self) -> str:
-        """The table in aligned columns."""
-        lines = (self.columns, *self.rows)
-        widths = [max(len(line[i]) for line in lines) for i in range(len(self.columns))]
-        return "\n".join(
-            "  ".join(cell.rjust(width) if i else cell.ljust(width) for i, (cell, width) in enumerate(cells))
-            for cells in (list(zip(line, widths, strict=True)) for line in lines)
-        )
 
 
 def dataset_table(result: DatasetResult, taus: Sequence[float]) -> Table:

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from torch import nn
 
 from stereokit.data.datasets.opening import open_dataset
+from stereokit.data.inputs import to_pair
 from stereokit.data.pairs import match_pairs
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import InputError
 from stereokit.export.checking import Pair
-from stereokit.inputs import to_pair
 
 __all__ = ["SYNTHETIC", "find_pairs"]
 

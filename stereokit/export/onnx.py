@@ -10,12 +10,12 @@ from torch import nn
 from stereokit.backends.metadata import KEY, ExportMetadata, describe_network
 from stereokit.backends.onnxruntime import OnnxRuntimeBackend
 from stereokit.backends.optional import import_optional
-from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError
 from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
 from stereokit.export.graph import ExportGraph, naming_block, trace
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
+from stereokit.files import atomic_path
 
 __all__ = ["OPSETS", "export_onnx", "to_onnx"]
 
@@ -58,7 +58,7 @@ def export_onnx(
     """
     target = check_target(path, ".onnx", overwrite=overwrite)
     if opset not in OPSETS:
-        raise ConfigError(f"opset {opset} can't be written; {OPSETS[0]} to {OPSETS[-1]} would do")
+        raise ConfigError(f"opset {opset} can't be written; use {OPSETS[0]} to {OPSETS[-1]}")
     check_size((pairs or {}).values(), size, "to compare on")
     check_onnx()
     import_optional("onnxruntime", "the check of an ONNX file")

@@ -12,13 +12,13 @@ from stereokit.backends.metadata import KEY, ExportMetadata
 from stereokit.backends.openvino import OpenVinoBackend
 from stereokit.backends.optional import import_optional
 from stereokit.backends.signal_stack import kept_signal_stack
-from stereokit.data.atomic import atomic_path
 from stereokit.errors import ConfigError
 from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
 from stereokit.export.onnx import check_onnx, to_onnx
 from stereokit.export.quantization import quantize
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
+from stereokit.files import atomic_path
 
 __all__ = ["PRECISIONS", "export_openvino"]
 
@@ -66,7 +66,7 @@ def export_openvino(
     target = check_target(path, ".xml", overwrite=overwrite)
     weights = check_target(target.with_suffix(".bin"), ".bin", overwrite=overwrite)
     if precision not in PRECISIONS:
-        raise ConfigError(f"precision {precision!r} can't be exported; {', '.join(PRECISIONS)} would do")
+        raise ConfigError(f"precision {precision!r} can't be exported; use {', '.join(PRECISIONS)}")
     _check_calibration(precision, calibration, size)
     check_size((pairs or {}).values(), size, "to compare on")
     openvino = import_optional("openvino", "export to OpenVINO")

@@ -10,11 +10,11 @@ from torch import nn
 
 from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.metadata import KEY, ExportMetadata, describe_network
-from stereokit.data.atomic import atomic_path
 from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
 from stereokit.export.graph import trace
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
+from stereokit.files import atomic_path
 
 __all__ = ["export_program"]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from stereokit.backends.metadata import ExportMetadata
 from stereokit.export.checking import Difference
-from stereokit.wording import counted
+from stereokit.tables import counted
 
 __all__ = ["ExportReport"]
 

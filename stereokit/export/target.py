@@ -8,8 +8,8 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from stereokit.data.atomic import check_free
 from stereokit.errors import ConfigError, InputError
+from stereokit.files import check_free
 
 __all__ = ["check_target", "on_cpu"]
 

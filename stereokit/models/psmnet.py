@@ -5,7 +5,8 @@ Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018.
 
 from typing import Any
 
-from stereokit.builder import ModelConfig, Presets, compose
+from stereokit.builder import compose
+from stereokit.config import ModelConfig, Presets
 from stereokit.model import StereoModel
 from stereokit.models.preprocessing import IMAGENET_MEAN, IMAGENET_STD
 from stereokit.registry import MODELS

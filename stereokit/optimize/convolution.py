@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.optimize.training import SmallConv3d, SmallConvTranspose3d, StridedDepthwise
+from stereokit.runtime.processor import compiles_transposed, onednn_types
 
 __all__ = ["Convolution", "FusedConvolution", "fold_batch_norm", "fusable_activation", "is_plain_convolution"]
 
@@ -144,6 +145,9 @@ class FusedConvolution(nn.Module):
         self.stride, self.padding = sizes(conv.stride), sizes(conv.padding)
         self.dilation, self.output_padding = sizes(conv.dilation), sizes(conv.output_padding)
         self.activation = activation or NO_ACTIVATION
+        # looked up here, so that the compiler sees constants
+        self.onednn_types = onednn_types()
+        self.compiles_transposed = compiles_transposed()
         if norm is None:
             weight = conv.weight.detach()
             bias = None if conv.bias is None else conv.bias.detach().clone()
@@ -172,13 +176,11 @@ class FusedConvolution(nn.Module):
         return self._transposed(x) if self.transposed else self._convolved(x)
 
     def _convolved(self, x: Tensor) -> Tensor:
-        return convolve(
-            x, self.weight, self.bias, self.padding, self.stride, self.dilation, self.groups, self.activation
-        )
+        return self._convolve(x, self.bias, self.padding, self.stride, self.dilation, self.groups, self.activation)
 
     def _transposed(self, x: Tensor) -> Tensor:
         x = x.contiguous(memory_format=self.memory_format)
-        if not calls_onednn(x) or (torch.compiler.is_compiling() and not COMPILES_TRANSPOSED):
+        if not calls_onednn(x, self.onednn_types) or (torch.compiler.is_compiling() and not self.compiles_transposed):
             conv = F.conv_transpose2d if x.dim() == 4 else F.conv_transpose3d
             y = conv(
                 x, self.weight, self.bias, self.stride, self.padding, self.output_padding, self.groups, self.dilation
@@ -192,7 +194,7 @@ class FusedConvolution(nn.Module):
     def _doubled(self, x: Tensor) -> Tensor:
         """A transposed convolution, as a convolution to one channel per parity of the output's coordinates."""
         size, ones = x.shape[2:], [1] * (x.dim() - 2)
-        y = convolve(x, self.weight, self.bias, ones, ones, ones, 1, self.activation)
+        y = self._convolve(x, self.bias, ones, ones, ones, 1, self.activation)
         for dim, length in enumerate(size, start=2):
             even, odd = y.chunk(2, dim=1)
             halves = (even.narrow(dim, 0, length), odd.narrow(dim, 1, length))
@@ -203,11 +205,34 @@ class FusedConvolution(nn.Module):
         """A 3D convolution to one channel, as a 2D one to a channel per depth of the kernel, and the sum of those."""
         batch, depth = x.shape[0], x.shape[2]
         slices = x.transpose(1, 2).flatten(0, 1)
-        y = convolve(slices, self.weight, None, self.padding[1:], self.stride[1:], self.dilation[1:], 1, NO_ACTIVATION)
+        y = self._convolve(slices, None, self.padding[1:], self.stride[1:], self.dilation[1:], 1, NO_ACTIVATION)
         y = F.pad(y.reshape(batch, depth, *y.shape[1:]), (0, 0, 0, 0, 0, 0, self.padding[0], self.padding[0]))
         levels = depth + 2 * self.padding[0] - self.kernel_size[0] + 1
         total = reduce(torch.add, (y[:, k : k + levels, k] for k in range(self.kernel_size[0]))).unsqueeze(1)
         return self.activation.apply(total if self.bias is None else total + self.bias)
+
+    def _convolve(
+        self,
+        x: Tensor,
+        bias: Tensor | None,
+        padding: list[int],
+        stride: list[int],
+        dilation: list[int],
+        groups: int,
+        activation: Activation,
+    ) -> Tensor:
+        """Convolution and activation, by oneDNN or by ATen."""
+        x, weight = x.contiguous(memory_format=self.memory_format), self.weight
+        if not calls_onednn(x, self.onednn_types):
+            conv = F.conv2d if x.dim() == 4 else F.conv3d
+            return activation.apply(conv(x, weight, bias, stride, padding, dilation, groups))
+        if x.shape[1] == 1 and torch.compiler.is_compiling():
+            # one channel lies alike in both layouts: compiling for any size, Inductor expects a result in the other
+            second_channel = (0, 0) * (x.dim() - 2) + (0, 1)
+            x, weight = F.pad(x, second_channel), F.pad(weight, second_channel)
+        return torch.ops.mkldnn._convolution_pointwise(
+            x, weight, bias, padding, stride, dilation, groups, activation.name, list(activation.numbers), ""
+        )
 
     def extra_repr(self) -> str:
         """Sizes and activation, for printing."""
@@ -223,37 +248,13 @@ def sizes(values: Sequence[Any]) -> list[int]:
     return [int(value) for value in values]
 
 
-def calls_onednn(x: Tensor) -> bool:
+def calls_onednn(x: Tensor, types: frozenset[torch.dtype]) -> bool:
     """Whether oneDNN is called directly: on the CPU, without a gradient, and not in a program made for elsewhere."""
     return (
         x.device.type == "cpu"
-        and x.dtype in ONEDNN_TYPES
+        and x.dtype in types
         and not (torch.is_grad_enabled() and x.requires_grad)
         and not torch.compiler.is_exporting()
-    )
-
-
-def convolve(
-    x: Tensor,
-    weight: Tensor,
-    bias: Tensor | None,
-    padding: list[int],
-    stride: list[int],
-    dilation: list[int],
-    groups: int,
-    activation: Activation,
-) -> Tensor:
-    """Convolution and activation, by oneDNN or by ATen."""
-    x = x.contiguous(memory_format=torch.channels_last if x.dim() == 4 else torch.channels_last_3d)
-    if not calls_onednn(x):
-        conv = F.conv2d if x.dim() == 4 else F.conv3d
-        return activation.apply(conv(x, weight, bias, stride, padding, dilation, groups))
-    if x.shape[1] == 1 and torch.compiler.is_compiling():
-        # one channel lies alike in both layouts: Inductor, compiling for any size, expects a result in the other one
-        second_channel = (0, 0) * (x.dim() - 2) + (0, 1)
-        x, weight = F.pad(x, second_channel), F.pad(weight, second_channel)
-    return torch.ops.mkldnn._convolution_pointwise(
-        x, weight, bias, padding, stride, dilation, groups, activation.name, list(activation.numbers), ""
     )
 
 
@@ -305,30 +306,3 @@ def subpixel_weight(weight: Tensor) -> Tensor:
         )
     parities, taps = range(2, 2 + 2 * dims, 2), range(3, 3 + 2 * dims, 2)
     return weight.permute(*parities, 1, 0, *taps).flatten(0, dims)
-
-
-def cpu_has(dtype: torch.dtype) -> bool:
-    """Whether oneDNN is here, and the processor has instructions for convolutions of this type."""
-    operators = torch.ops.mkldnn
-    available = torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
-    if not available or not hasattr(operators, "_convolution_pointwise"):
-        return False
-    names = {torch.bfloat16: "_is_mkldnn_bf16_supported", torch.float16: "_is_mkldnn_fp16_supported"}
-    return dtype == torch.float32 or (dtype in names and bool(getattr(operators, names[dtype])()))
-
-
-def compiles_transposed() -> bool:
-    """Whether the compiler is told the right size of oneDNN's transposed convolutions: not by PyTorch 2.14."""
-    if not cpu_has(torch.float32):
-        return False
-    x, weight = torch.empty(1, 2, 3, 3, device="meta"), torch.empty(2, 5, 2, 2, device="meta")
-    zeros, ones = [0, 0], [1, 1]
-    size = torch.ops.mkldnn._convolution_transpose_pointwise(
-        x, weight, None, zeros, zeros, ones, ones, 1, NO_ACTIVATION.name, [], ""
-    ).shape
-    return tuple(size) == (1, 5, 4, 4)
-
-
-# looked up once, so that the compiler sees constants
-COMPILES_TRANSPOSED = compiles_transposed()
-ONEDNN_TYPES = frozenset(filter(cpu_has, (torch.float32, torch.bfloat16, torch.float16)))

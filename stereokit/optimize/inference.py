@@ -9,9 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.errors import ConfigError
-from stereokit.optimize.convolution import FusedConvolution, cpu_has
+from stereokit.optimize.convolution import FusedConvolution
 from stereokit.optimize.fusion import Chain, find_chains, fuse
-from stereokit.precision import dtype_of
+from stereokit.runtime.precision import dtype_of
+from stereokit.runtime.processor import cpu_has
 
 __all__ = ["PreparedNetwork", "prepare_for_inference"]
 

@@ -10,10 +10,10 @@ from torch import Tensor, nn
 
 from stereokit.errors import StereoKitError
 from stereokit.losses import masked_cross_entropy, stereo_loss, truth_of_cells
-from stereokit.memory import running_out_as
 from stereokit.metrics import StereoMetrics, valid_pixels
 from stereokit.model import StereoModel, StereoOutput
 from stereokit.optimize import prepare_for_training
+from stereokit.runtime.memory import running_out_as
 from stereokit.training.recipe import Recipe
 from stereokit.training.samples import Batch
 
@@ -194,7 +194,7 @@ class StereoTraining(LightningModule):
         if self._broken_in_a_row >= MOST_BROKEN_STEPS:
             raise TrainingError(
                 f"{self._broken_in_a_row} steps in a row, up to step {self.trainer.global_step}, had no finite loss or "
-                "gradient; a smaller learning rate, --precision 32, or another look at the data would do "
+                "gradient; use a smaller learning rate, --precision 32, or another look at the data "
                 "(stereokit data check)"
             )
 

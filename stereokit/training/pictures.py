@@ -11,11 +11,11 @@ from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.loggers import TensorBoardLogger
 from torch import Tensor
 
-from stereokit.data.atomic import make_folder
 from stereokit.data.images import to_uint8, write_image
-from stereokit.inputs import as_array
+from stereokit.data.inputs import as_array
+from stereokit.files import make_folder
+from stereokit.pictures import captioned, colorize, error_picture, robust_range
 from stereokit.training.samples import Batch
-from stereokit.viz import captioned, colorize, error_picture, robust_range
 
 __all__ = ["ValidationPictures", "picture"]
 

@@ -133,7 +133,7 @@ class Averaging:
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Literal["ema", "swa", "none"]):
-            raise ConfigError(f"averaging: unknown kind {self.kind!r}; 'ema', 'swa' or 'none' would do")
+            raise ConfigError(f"averaging: unknown kind {self.kind!r}; use 'ema', 'swa' or 'none'")
         if not (0 <= self.decay < 1 and 0 <= self.start < 1):
             raise ConfigError(f"averaging: decay and start lie from 0 to below 1; got {self.decay} and {self.start}")
 

@@ -19,15 +19,15 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
 
 from stereokit.builder import build_model
-from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.data.datasets import open_dataset
 from stereokit.data.datasets.dataset import StereoDataset, StereoSample
 from stereokit.data.datasets.layout import images_in
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
-from stereokit.memory import running_out_as
+from stereokit.files import atomic_path, make_folder
 from stereokit.model import StereoModel
-from stereokit.optimize.convolution import cpu_has
-from stereokit.provenance import commit, file_sha256, machine, state_sha256, versions
+from stereokit.runtime.memory import running_out_as
+from stereokit.runtime.processor import cpu_has
+from stereokit.runtime.provenance import commit, file_sha256, machine, state_sha256, versions
 from stereokit.training.averaging import AveragedWeights
 from stereokit.training.best import BestNetwork
 from stereokit.training.data import StereoData, usual_workers
@@ -42,7 +42,7 @@ __all__ = ["Outcome", "train"]
 VALIDATION_SEED = 1_000_003
 VALIDATION_SCENES = 16
 
-TOO_MUCH_MEMORY = "a step takes more memory than there is; a smaller --batch, or crop_height and crop_width, would do"
+TOO_MUCH_MEMORY = "a step takes more memory than there is; use a smaller --batch, or crop_height and crop_width,"
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from typing import Any
 from safetensors.torch import save
 from torch import Tensor
 
-from stereokit.data.atomic import atomic_path, make_folder
 from stereokit.errors import CheckpointError, ConfigError, StereoKitError
+from stereokit.files import atomic_path, make_folder
 from stereokit.model import StereoModel
-from stereokit.pretrained import WEIGHTS_NAME, write_config
-from stereokit.provenance import file_sha256, state_sha256
+from stereokit.runtime.provenance import file_sha256, state_sha256
+from stereokit.weights.folder import WEIGHTS_NAME, write_config
 from stereokit.weights.shipped import MANIFEST_NAME, Manifest, list_weights, load_weights, read_manifest
 
 __all__ = ["main", "release"]

@@ -4,17 +4,19 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypedDict, cast
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from stereokit.builder import build_model
+from stereokit.config import rebuild
 from stereokit.errors import CheckpointError, ConfigError, InputError
-from stereokit.model import StereoModel
-from stereokit.pretrained import WEIGHTS_NAME, load_state
-from stereokit.provenance import file_sha256
 from stereokit.registry import MODELS, WEIGHTS, suggest
+from stereokit.runtime.provenance import file_sha256
+from stereokit.weights.folder import WEIGHTS_NAME, load_state
+
+if TYPE_CHECKING:
+    from stereokit.model import StereoModel
 
 __all__ = [
     "DEFAULTS",
@@ -156,7 +158,7 @@ def read_manifest(name: str | Path) -> Manifest:
     return cast(Manifest, manifest)
 
 
-def load_weights(name: str | Path, **overrides: Any) -> StereoModel:
+def load_weights(name: str | Path, **overrides: Any) -> "StereoModel":
     """The network that these weights are of, with them, in eval mode.
 
     Args:
@@ -182,7 +184,7 @@ def load_weights(name: str | Path, **overrides: Any) -> StereoModel:
             f"the weights {str(path)!r} are damaged: their SHA-256 is {digest}, not {manifest['sha256']} as in the "
             "manifest; get them again, with the package if they came with it"
         )
-    model: StereoModel = build_model(manifest["network"], **overrides)
+    model: StereoModel = rebuild(manifest["network"], **overrides)
     differing = [key for key, value in model.config.items() if manifest["network"].get(key) != value]
     try:
         load_state(model, state, manifest["name"])

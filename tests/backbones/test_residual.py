@@ -4,8 +4,8 @@ from torch import nn
 from torch.testing import assert_close
 
 from stereokit import ResidualTower
-from stereokit.backbones.residual import ResidualBlock
 from stereokit.layers import relu
+from stereokit.layers.residual import ResidualBlock
 
 
 def muted(block):

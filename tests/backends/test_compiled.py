@@ -32,7 +32,7 @@ def test_where_it_can_not_compile_it_is_one_line(error, monkeypatch):
         raise error
 
     monkeypatch.setattr(CompiledBackend, "make_ready", lambda self, network: fail)
-    with pytest.raises(ConfigError, match=r"can't compile here \(.*no .*C\+\+ compiler.*backend 'torch' would do"):
+    with pytest.raises(ConfigError, match=r"can't compile here \(.*no .*C\+\+ compiler.*use backend 'torch'"):
         Predictor(Tiny(), "cpu", "compile")(*random_pair(64, 96))
 
 

@@ -5,7 +5,8 @@ import torch
 from torch import nn
 
 from stereokit import CheckpointError, ConfigError, Predictor, StereoOutput
-from stereokit.backends import BACKENDS, is_exported, open_backend
+from stereokit.backends import BACKENDS, open_backend
+from stereokit.weights.places import is_exported
 
 
 class Flat(nn.Module):
@@ -53,7 +54,7 @@ def test_absent_devices_are_refused(suffix, tmp_path):
     pytest.importorskip({"onnx": "onnxruntime", "xml": "openvino"}[suffix])
     path = tmp_path / f"a.{suffix}"
     path.touch()
-    with pytest.raises(ConfigError, match="can't use device 'mps' here; 'auto' or 'cpu'"):
+    with pytest.raises(ConfigError, match="can't use device 'mps' here; use 'auto' or 'cpu'"):
         Predictor(path, "mps")
     for device in ("tpu9", None):
         with pytest.raises(ConfigError, match=f"can't use device '{device}' here"):

@@ -13,7 +13,7 @@ from stereokit.data import write_image
 from stereokit.data.datasets import open_dataset
 from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation import evaluate
-from stereokit.provenance import file_sha256
+from stereokit.runtime.provenance import file_sha256
 from tests.evaluation.scenes import SIZE, Batches, constant, save_kitti, save_scene
 
 

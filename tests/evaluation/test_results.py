@@ -5,7 +5,8 @@ import pytest
 
 from stereokit.errors import InputError
 from stereokit.evaluation import evaluate
-from stereokit.evaluation.results import make_folder, result_paths
+from stereokit.evaluation.results import result_paths
+from stereokit.files import make_folder
 from tests.evaluation.scenes import constant, save_kitti, save_scene
 
 

@@ -12,8 +12,8 @@ from stereokit._version import __version__
 from stereokit.backends.metadata import FORMAT, KEY, ExportMetadata
 from stereokit.export import export_onnx
 from stereokit.export.checking import random_pair
-from stereokit.memory import estimate_memory
 from stereokit.models.ablation import ABLATION
+from stereokit.runtime.memory import estimate_memory
 from tests.export.networks import Untrue
 from tests.optimize.networks import settle
 
@@ -139,7 +139,7 @@ def test_files_that_can_not_be_held_to_limits_say_so_and_run_without(exported, t
     for limits in ({"max_memory": "1GiB"}, {"too_large": "tile"}):
         with pytest.raises(ConfigError, match=message):
             Predictor(path, **limits)
-    monkeypatch.setattr("stereokit.inference.LARGE", 1000)
+    monkeypatch.setattr("stereokit.inference.predictor.LARGE", 1000)
     assert Predictor(path)(*random_pair(320, 700)).size == (320, 700)
 
 
@@ -191,7 +191,7 @@ def test_bad_requests_are_refused_and_leave_nothing(tiny, tmp_path):
         ("a.xml", {}, InputError, "does not end in .onnx"),
         ("taken.onnx", {}, InputError, "exists already"),
         ("no/a.onnx", {}, InputError, "does not exist"),
-        ("a.onnx", {"opset": 11}, ConfigError, "opset 11 can't be written; 18 to 23"),
+        ("a.onnx", {"opset": 11}, ConfigError, "opset 11 can't be written; use 18 to 23"),
         ("a.onnx", {"size": (16, 64)}, InputError, "at least 32 x 32"),
     ):
         with pytest.raises(error, match=message):

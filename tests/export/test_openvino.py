@@ -78,7 +78,7 @@ def test_bad_requests_are_refused_and_leave_nothing(tiny, tmp_path):
     for arguments, error, message in (
         ({"precision": "int8"}, ConfigError, "int8 needs pairs .*--calibrate synthetic"),
         ({"precision": "int8", "calibration": []}, ConfigError, "int8 needs pairs"),
-        ({"precision": "int4"}, ConfigError, "float32, bfloat16, int8 would do"),
+        ({"precision": "int4"}, ConfigError, "use float32, bfloat16, int8"),
         ({"calibration": pair}, ConfigError, "calibration is for precision 'int8' alone"),
         (
             {"precision": "int8", "calibration": pair, "size": (32, 64)},

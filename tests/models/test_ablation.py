@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from stereokit import build_model
-from stereokit.aggregation.guidance import GuidancePoint, NoGuidance
+from stereokit.guidance import GuidancePoint, NoGuidance
 from stereokit.models.ablation import ABLATION
 
 

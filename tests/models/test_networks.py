@@ -15,7 +15,7 @@ from stereokit import (
     UNet,
     build_model,
 )
-from stereokit.regression import NoUpsampler, TrilinearUpsampler
+from stereokit.upsampling.interpolation import NoUpsampler, TrilinearUpsampler
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("coex", 2721993), ("psmnet", 5224768), ("gcnet", 2845376)])

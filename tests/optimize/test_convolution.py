@@ -13,6 +13,7 @@ from stereokit.optimize.convolution import (
     is_plain_convolution,
     subpixel_weight,
 )
+from stereokit.runtime.processor import compiles_transposed
 from tests.strategies import randn, seeds
 
 ACTIVATIONS = [None, nn.ReLU(), nn.LeakyReLU(0.2), nn.ReLU6(), nn.Hardtanh(-0.5, 2), nn.SiLU(), nn.Hardswish()]
@@ -137,10 +138,10 @@ def test_single_precision_weights_take_other_images():
     assert fused(torch.rand(1, 2, 5, 5)).dtype == torch.bfloat16
 
 
-@pytest.mark.parametrize("told", [convolution.COMPILES_TRANSPOSED, False])
+@pytest.mark.parametrize("told", [compiles_transposed(), False])
 @pytest.mark.parametrize("dims", [2, 3])
 def test_transposed_convolutions_have_their_size_in_a_compiled_network(dims, told, monkeypatch):
-    monkeypatch.setattr(convolution, "COMPILES_TRANSPOSED", told)
+    monkeypatch.setattr(convolution, "compiles_transposed", lambda: told)
     up, after = ((nn.ConvTranspose2d, nn.Conv2d), (nn.ConvTranspose3d, nn.Conv3d))[dims - 2]
     plain = nn.Sequential(up(16, 24, 4, stride=2, padding=1), nn.ReLU(), after(24, 12, 3))
     fused = nn.Sequential(

@@ -187,7 +187,7 @@ def test_a_network_that_looks_at_the_images_is_watched_for_real():
 
 @pytest.mark.parametrize("precision", ["double", "fp16", None])
 def test_another_precision_is_refused(precision):
-    with pytest.raises(ConfigError, match=r"float32, bfloat16, float16 would do"):
+    with pytest.raises(ConfigError, match=r"use float32, bfloat16, float16"):
         prepare_for_inference(nn.Identity(), precision=precision)
 
 

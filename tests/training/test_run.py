@@ -17,13 +17,13 @@ from torch import nn
 
 from stereokit.builder import build_model
 from stereokit.cli import main
+from stereokit.cli.synth import write_scenes
 from stereokit.data.images import write_image
 from stereokit.data.synthetic import SyntheticScenes
-from stereokit.data.synthetic.command import write_scenes
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inference import Predictor
 from stereokit.model import StereoModel
-from stereokit.provenance import file_sha256, state_sha256
+from stereokit.runtime.provenance import file_sha256, state_sha256
 from stereokit.training import StereoTraining, TrainingSamples, train, with_length
 from stereokit.training.data import StereoData
 from stereokit.training.module import TrainingError

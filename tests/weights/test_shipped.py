@@ -11,8 +11,8 @@ from stereokit.errors import CheckpointError, ConfigError
 from stereokit.inference import Predictor
 from stereokit.metrics import end_point_error
 from stereokit.model import StereoModel
-from stereokit.provenance import file_sha256, state_sha256
 from stereokit.registry import WEIGHTS
+from stereokit.runtime.provenance import file_sha256, state_sha256
 from stereokit.weights import (
     DEFAULTS,
     default_weights,

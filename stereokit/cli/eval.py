@@ -1,0 +1,181 @@
+"""`stereokit eval`."""
+
+import argparse
+import importlib
+import os
+import shlex
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from stereokit.backends import BACKENDS
+from stereokit.data.datasets.dataset import StereoEntry
+from stereokit.data.datasets.opening import open_dataset
+from stereokit.errors import ConfigError, InputError
+from stereokit.evaluation.evaluate import Observer, evaluate
+from stereokit.evaluation.matcher import Matcher, NetworkMatcher
+from stereokit.evaluation.report import Report
+from stereokit.evaluation.results import result_paths
+from stereokit.evaluation.sgbm import SGBM_VARIANTS, SemiGlobalMatcher
+from stereokit.evaluation.submission import KittiSubmission
+from stereokit.evaluation.tables import format_dataset
+from stereokit.files import check_folder, check_free
+from stereokit.inference import Predictor
+from stereokit.registry import list_models, suggest
+from stereokit.weights import default_weights, named_weights
+
+__all__ = ["add_arguments", "run"]
+
+LoadPredictor = Callable[[argparse.Namespace], Predictor]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `stereokit eval`, less those of published checkpoints, which several commands share."""
+    parser.add_argument(
+        "--model",
+        help=f"a network ({', '.join(list_models())}); OpenCV's semi-global matcher with 8 paths (sgbm) or 5 "
+        "(sgbm_5paths), holes filled from the background, or left (sgbm_unfilled, sgbm_5paths_unfilled); or a "
+        "function of your own, MODULE:FUNCTION, from left and right image to disparity (default: coex)",
+    )
+    parser.add_argument(
+        "--weights",
+        help="folder of a saved network, published checkpoint, exported file, a name of stereokit list weights, or "
+        "that of a network for its default ones",
+    )
+    parser.add_argument(
+        "--data",
+        action="append",
+        required=True,
+        metavar="KIND[/SPLIT][,OPTION=VALUE]:ROOT",
+        help="data set, such as kitti2012:/data/kitti2012; may be given several times",
+    )
+    parser.add_argument("--limit", type=int, metavar="N", help="only the first N pairs of each data set")
+    parser.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
+    parser.add_argument("--backend", default="auto", help=f"{', '.join(BACKENDS)} (default: that of the weights)")
+    parser.add_argument(
+        "--batch", type=int, default=1, metavar="N", help="match N pairs of equal size at once (default: 1)"
+    )
+    parser.add_argument(
+        "--max-disparity",
+        type=float,
+        metavar="D",
+        help="count only pixels whose ground truth is below D px (default: all; SceneFlow is customarily below 192)",
+    )
+    parser.add_argument(
+        "--search-range", type=int, metavar="D", help="disparities that sgbm tries, 0 to D - 1 (default: 192)"
+    )
+    parser.add_argument("--out", default="evaluation", help="folder for JSON and CSV (default: %(default)s)")
+    parser.add_argument("--report", metavar="DIR", help="write DIR/index.html, with pictures of the pairs, worst first")
+    parser.add_argument(
+        "--report-pairs", type=int, default=100, metavar="N", help="pictures of N pairs per data set (default: 100)"
+    )
+    parser.add_argument("--submission", metavar="DIR", help="write disparity as KITTI's test server takes it")
+    parser.add_argument("--overwrite", action="store_true", help="replace existing results")
+
+
+def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
+    """Evaluates as the options say, prints a table per data set and writes the files.
+
+    Args:
+        options: of `add_arguments`, and `arguments`, the command line that they were parsed from, for the record.
+        load_predictor: gives the network that the options `model`, `weights`, `channel_order` and `top_k` name, on
+            the device and the backend that they name.
+
+    Raises:
+        StereoKitError: options or data that can't be used; then no result is written.
+    """
+    for folder in (options.out, options.report, options.submission):
+        # now rather than after hours of matching
+        if folder is not None:
+            check_folder(folder)
+    check_free(result_paths(options.out), overwrite=options.overwrite)
+    if len(set(options.data)) < len(options.data):
+        raise InputError(f"--data names {', '.join(options.data)}; expected each once")
+    datasets = {spec: open_dataset(spec) for spec in options.data}
+    for spec, dataset in datasets.items():
+        if options.submission is None and not any(entry.disparity for entry in dataset.entries):
+            raise InputError(f"{spec!r} has no ground truth, split {dataset.split!r}: there is nothing to count")
+    observers: list[Observer] = []
+    report = None
+    if options.report is not None:
+        report = Report(options.report, most=options.report_pairs, overwrite=options.overwrite)
+        observers.append(report)
+    if options.submission is not None:
+        if len(datasets) > 1:
+            raise InputError(f"--submission takes one data set, kitti2012 or kitti2015; got {len(datasets)}")
+        [dataset] = datasets.values()
+        observers.append(KittiSubmission(options.submission, dataset, overwrite=options.overwrite))
+    matcher = _matcher(options, load_predictor)
+    evaluation = evaluate(
+        matcher,
+        datasets,
+        limit=options.limit,
+        max_disparity=options.max_disparity,
+        batch=options.batch,
+        observers=observers,
+        progress=_progress,
+        command=shlex.join(["stereokit", *options.arguments]),
+    )
+    for result in evaluation.datasets:
+        print(format_dataset(result, evaluation.settings["taus"]), end="\n\n")
+    written = [
+        *evaluation.save(options.out, overwrite=options.overwrite),
+        *([report.save(evaluation)] if report else []),
+    ]
+    print(f"wrote {', '.join(map(str, written))}")
+    if options.submission is not None:
+        print(f"wrote {len(evaluation.datasets[0].pairs)} disparity maps into {options.submission}; zip its content")
+
+
+def _matcher(options: argparse.Namespace, load_predictor: LoadPredictor) -> Matcher:
+    name = options.model or "coex"
+    if name in SGBM_VARIANTS or ":" in name:
+        _refuse(name, options, "weights", "channel_order", "top_k", "precision", "max_memory", "too_large", "scale")
+        if options.device not in ("auto", "cpu"):
+            raise ConfigError(f"--model {name} does not run on a device of torch; leave out --device {options.device}")
+        if options.backend != "auto":
+            raise ConfigError(f"--model {name} has no backends; leave out --backend {options.backend}")
+    if ":" in name:
+        _refuse(name, options, "search_range")
+        return _own_function(name)
+    if name in SGBM_VARIANTS:
+        variant = SGBM_VARIANTS[name]
+        if options.search_range is None:
+            return variant
+        return SemiGlobalMatcher(paths=variant.paths, fill=variant.fill, search_range=options.search_range)
+    if name not in list_models():
+        raise ConfigError(f"unknown model {name!r}; {suggest(name, [*list_models(), *SGBM_VARIANTS])}")
+    _refuse(name, options, "search_range")
+    predictor = load_predictor(options)
+    weights = default_weights(name) if options.weights is None else named_weights(options.weights) or options.weights
+    return NetworkMatcher(predictor, weights=weights)
+
+
+def _refuse(name: str, options: argparse.Namespace, *given: str) -> None:
+    """An option without a meaning for this model is an error, not ignored."""
+    for option in given:
+        if getattr(options, option) is not None:
+            raise ConfigError(f"--model {name} takes no --{option.replace('_', '-')}; leave it out")
+
+
+def _own_function(name: str) -> Matcher:
+    module_name, _, attribute = name.partition(":")
+    # as `python -m` does, so that a file beside the user is found
+    sys.path.insert(0, os.getcwd())
+    try:
+        module = importlib.import_module(module_name)
+    except (ImportError, ValueError) as error:
+        raise ConfigError(f"--model {name}: the module {module_name!r} can't be imported: {error}") from error
+    finally:
+        sys.path.pop(0)
+    function: Any = getattr(module, attribute, None)
+    if not callable(function):
+        raise ConfigError(f"--model {name}: {module_name} has no function {attribute!r}")
+    return function
+
+
+def _progress(entries: Sequence[StereoEntry], name: str) -> Iterable[StereoEntry]:
+    return tqdm(entries, desc=Path(name).name or name, unit="pair")

@@ -1,0 +1,99 @@
+"""What a network is built from, in plain JSON, and building it again from that."""
+
+import json
+from collections.abc import Mapping
+from typing import Any, Literal, TypeAlias, TypedDict
+
+from torch import nn
+
+from stereokit.errors import ConfigError
+from stereokit.registry import MODELS, suggest
+
+__all__ = ["Component", "ModelConfig", "Override", "Presets", "as_json", "expand_top_k", "rebuild"]
+
+Component: TypeAlias = dict[str, Any]
+"""``{"name": .., **arguments}``"""
+
+Override: TypeAlias = str | Component | nn.Module
+"""A component's name, its name with arguments, or the block itself."""
+
+Presets: TypeAlias = Mapping[str, Mapping[str, Component]]
+"""Arguments that a recipe gives a component when it is chosen: slot, then name, then arguments."""
+
+
+class ModelConfig(TypedDict):
+    """All that a network is built from: plain JSON, in and out.
+
+    >>> from stereokit import build_model
+    >>> config = build_model("coex").config
+    >>> config["regression"]
+    {'name': 'top_k', 'k': 2, 'test_k': None}
+    >>> build_model(json.loads(json.dumps(config))).config == config
+    True
+    """
+
+    name: str
+    backbone: Component
+    cost: Component
+    guidance: Component
+    guidance_at: Literal["one", "full"]
+    aggregation: Component
+    regression: Component
+    upsampler: Component
+    max_disparity: int
+    mean: list[float]
+    std: list[float]
+    padding: Literal["replicate", "zeros"]
+
+
+def rebuild(config: Mapping[str, Any], **overrides: Any) -> Any:
+    """Builds the network that a configuration describes.
+
+    Args:
+        config: of a network, see `ModelConfig`.
+        overrides: changes to it, see `stereokit.build_model`.
+
+    Raises:
+        ConfigError: no configuration, or one that can't be built.
+
+    >>> from stereokit import build_model
+    >>> rebuild(build_model("coex").config, top_k=3).config["regression"]["k"]
+    3
+    """
+    if not isinstance(config, Mapping):
+        raise ConfigError(f"a model is a name or a configuration, not {config!r}; {suggest('', MODELS.names())}")
+    settings = dict(config)
+    name = settings.pop("name", None)
+    if not isinstance(name, str):
+        raise ConfigError(f"a configuration holds the name of its model, one of {', '.join(MODELS.names())}")
+    if "top_k" in overrides:
+        settings.pop("regression", None)
+    for slot, override in overrides.items():
+        # a dict without a name changes arguments of what the configuration holds
+        if isinstance(override, Mapping) and "name" not in override and isinstance(settings.get(slot), Mapping):
+            override = {**settings[slot], **override}
+        settings[slot] = override
+    return MODELS.build(name, settings)
+
+
+def expand_top_k(overrides: dict[str, Any]) -> None:
+    """Turns the shorthand `top_k` into a regression, in place."""
+    if "top_k" not in overrides:
+        return
+    if "regression" in overrides:
+        raise ConfigError("top_k=.. is short for a regression: give one of top_k and regression")
+    overrides["regression"] = {"name": "top_k", "k": overrides.pop("top_k")}
+
+
+def as_json(config: dict[str, Any]) -> Any:
+    """The configuration as JSON gives it back.
+
+    Raises:
+        ConfigError: it holds something else than plain JSON values.
+    """
+    try:
+        return json.loads(json.dumps(config))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(
+            f"the arguments of components are plain JSON values, so that a network can be saved: {error}"
+        ) from error

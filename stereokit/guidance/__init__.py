@@ -1,0 +1,16 @@
+"""Ways in which image features guide the aggregation of a cost volume."""
+
+from stereokit.guidance.excitation import GCE, AdditiveGuidance, excite
+from stereokit.guidance.neighborhood import NeighborhoodAggregation, neighborhood_sum
+from stereokit.guidance.point import GuidancePlan, GuidancePoint, NoGuidance
+
+__all__ = [
+    "GCE",
+    "AdditiveGuidance",
+    "GuidancePlan",
+    "GuidancePoint",
+    "NeighborhoodAggregation",
+    "NoGuidance",
+    "excite",
+    "neighborhood_sum",
+]

@@ -1,0 +1,22 @@
+"""From a pair of images to a disparity map: the predictor, and pairs that are not matched as they are."""
+
+from stereokit.inference.bounds import BoundedMatcher, MemoryPlan, TooLarge
+from stereokit.inference.predictor import Predictor
+from stereokit.inference.result import DisparityResult, output_paths
+from stereokit.inference.scaling import MAX_SCALE, Run, match_scaled, scaled_size
+from stereokit.inference.tiles import match_tiles, tile_grid
+
+__all__ = [
+    "MAX_SCALE",
+    "BoundedMatcher",
+    "DisparityResult",
+    "MemoryPlan",
+    "Predictor",
+    "Run",
+    "TooLarge",
+    "match_scaled",
+    "match_tiles",
+    "output_paths",
+    "scaled_size",
+    "tile_grid",
+]

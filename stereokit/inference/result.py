@@ -1,0 +1,117 @@
+"""The disparity of one pair, and its files."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stereokit.data.disparity_files import write_disparity
+from stereokit.data.disparity_png import fits_kitti_png
+from stereokit.data.images import write_image
+from stereokit.errors import InputError
+from stereokit.files import atomic_path, check_free, make_folder
+from stereokit.pictures import picture_with_scale
+
+__all__ = ["DisparityResult"]
+
+
+@dataclass(frozen=True, eq=False)
+class DisparityResult:
+    """The disparity of one pair.
+
+    Args:
+        disparity: (H, W) float32, pixels of the left image; x_right = x_left - disparity.
+        confidence: (H, W) float32 in [0, 1], the probability mass behind the estimate; None if the network gives none.
+        seconds: that the network took, with the transfer to and from the device.
+        preparation_seconds: that went before it into what is needed once, or once for a size: compiling, finding out
+            how much memory it takes.
+
+    >>> result = DisparityResult(np.full((40, 60), 12.5, np.float32), confidence=None, seconds=0.1)
+    >>> result.size
+    (40, 60)
+    """
+
+    disparity: npt.NDArray[np.float32]
+    confidence: npt.NDArray[np.float32] | None
+    seconds: float
+    preparation_seconds: float = 0.0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width, those of the input."""
+        height, width = self.disparity.shape
+        return height, width
+
+    @property
+    def invalid(self) -> int:
+        """How many pixels have no finite disparity; networks in order give 0."""
+        return int(np.count_nonzero(~np.isfinite(self.disparity)))
+
+    def picture(self, value_range: tuple[float, float] | None = None) -> npt.NDArray[np.uint8]:
+        """The disparity in colours above its scale, RGB."""
+        return picture_with_scale(self.disparity, value_range=value_range)
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Writes the disparity in the format that the suffix names.
+
+        Args:
+            path: ends in .png (16 bits, KITTI's encoding), .pfm, .npy, or .npz, which holds the confidence too.
+            overwrite: replace an existing file.
+
+        Raises:
+            InputError: another suffix, a value that the format can't hold, or a file that can't be written.
+        """
+        if Path(path).suffix.lower() != ".npz":
+            write_disparity(path, self.disparity, overwrite=overwrite)
+            return
+        arrays: dict[str, Any] = {"disparity": self.disparity}
+        if self.confidence is not None:
+            arrays["confidence"] = self.confidence
+        with atomic_path(path, overwrite=overwrite) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    def save_all(self, folder: str | os.PathLike[str], name: str, *, overwrite: bool = False) -> list[Path]:
+        """Writes the disparity in every format, and its picture, beside each other.
+
+        A disparity that KITTI's encoding can't hold, below 0 or from 256 px up, is not written as PNG.
+
+        Args:
+            folder: is made if need be.
+            name: the files are those of `output_paths`.
+            overwrite: replace existing files; a PNG that is not written is removed.
+
+        Returns:
+            The files written.
+
+        Raises:
+            InputError: a file exists already; then none is written.
+        """
+        paths = output_paths(folder, name)
+        check_free(paths, overwrite=overwrite)
+        make_folder(folder)
+        kitti, *exact, picture = paths
+        encodable = fits_kitti_png(self.disparity)
+        disparities = [kitti, *exact] if encodable else exact
+        for path in disparities:
+            self.save(path, overwrite=overwrite)
+        if not encodable:
+            # of another result
+            try:
+                kitti.unlink(missing_ok=True)
+            except OSError as error:
+                raise InputError(f"{str(kitti)!r} can't be removed: {error.strerror or error}") from error
+        write_image(picture, self.picture(), overwrite=overwrite)
+        return [*disparities, picture]
+
+
+def output_paths(folder: str | os.PathLike[str], name: str) -> list[Path]:
+    """The files of one pair: 16-bit PNG, PFM, npz, and the picture.
+
+    >>> [path.name for path in output_paths("out", "teddy")]
+    ['teddy_disparity.png', 'teddy_disparity.pfm', 'teddy_disparity.npz', 'teddy_picture.png']
+    """
+    disparities = [Path(folder) / f"{name}_disparity{suffix}" for suffix in (".png", ".pfm", ".npz")]
+    return [*disparities, Path(folder) / f"{name}_picture.png"]

@@ -1,0 +1,41 @@
+"""Smooth L1 of disparities."""
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from stereokit.errors import InputError
+from stereokit.metrics import valid_pixels
+
+__all__ = ["masked_smooth_l1"]
+
+
+def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float | None = None) -> Tensor:
+    r"""Mean smooth-L1 distance over the pixels with known ground truth.
+
+    .. math:: L = \frac{1}{N} \sum_{i:\, 0 < g_i < D} \mathrm{smooth}_{L_1}(g_i - \hat d_i)
+
+    Args:
+        disparity: estimate, (B, H, W), pixels.
+        truth: g, (B, H, W), pixels; 0, negative and non-finite values are unknown.
+        max_disparity: D; ground truth from there up does not count. None counts every known pixel.
+
+    Returns:
+        A scalar; 0, with a gradient of 0, where no pixel is known.
+
+    Raises:
+        InputError: the shapes differ, or a ceiling that leaves nothing.
+
+    Source: CoEx, equation "smooth L1".
+
+    >>> masked_smooth_l1(torch.tensor([[[1.0, 9.0]]]), torch.tensor([[[3.0, torch.nan]]])).item()
+    1.5
+    """
+    if disparity.shape != truth.shape:
+        raise InputError(
+            f"estimate and ground truth differ in shape: {tuple(disparity.shape)} and {tuple(truth.shape)}"
+        )
+    known = valid_pixels(truth, max_disparity=max_disparity)
+    target = torch.where(known, truth, disparity.detach())
+    distance = F.smooth_l1_loss(disparity, target.to(disparity.dtype), reduction="none")
+    return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)

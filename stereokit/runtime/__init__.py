@@ -1,0 +1,1 @@
+"""What runs a network: clocks, memory, devices, precisions, processors, and the record of them."""

@@ -1,0 +1,146 @@
+"""Networks saved with their weights: a folder with `config.json`, `model.safetensors` and a `README.md` for the hub."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from huggingface_hub import hf_hub_download
+from huggingface_hub.errors import HFValidationError
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from stereokit._version import __version__
+from stereokit.config import ModelConfig, rebuild
+from stereokit.errors import CheckpointError, ConfigError
+from stereokit.files import atomic_path, make_folder
+from stereokit.weights.places import is_hub_id
+
+if TYPE_CHECKING:
+    from stereokit.model import StereoModel
+
+__all__ = [
+    "CONFIG_NAME",
+    "WEIGHTS_NAME",
+    "load_folder",
+    "load_state",
+    "save_folder",
+    "saved_config",
+    "write_config",
+]
+
+CONFIG_NAME = "config.json"
+WEIGHTS_NAME = "model.safetensors"
+
+
+def saved_config(model: "StereoModel") -> ModelConfig:
+    """The configuration of a network, if it rebuilds the network.
+
+    Raises:
+        ConfigError: a block of the network was passed in as a module, so that its configuration can't rebuild it.
+    """
+    config = model.config
+    foreign = [slot for slot, choice in config.items() if isinstance(choice, dict) and "instance" in choice]
+    if foreign:
+        raise ConfigError(
+            f"the {' and '.join(foreign)} of this network was passed in as a module, which a configuration can't "
+            "rebuild; register its class and build the network with its name, or save model.state_dict()"
+        )
+    return config
+
+
+def save_folder(model: "StereoModel", folder: Path) -> None:
+    """Writes the configuration and the weights of a network; each file appears whole or not at all.
+
+    Args:
+        model: refused before anything is made.
+        folder: is made if need be.
+
+    Raises:
+        ConfigError: see `saved_config`.
+    """
+    config = saved_config(model)
+    make_folder(folder)
+    with atomic_path(folder / WEIGHTS_NAME, overwrite=True) as temporary:
+        temporary.write_bytes(save({k: v.contiguous() for k, v in model.state_dict().items()}))
+    write_config(config, folder, overwrite=True)
+
+
+def write_config(config: ModelConfig, folder: Path, *, overwrite: bool) -> None:
+    """Writes the configuration of a network, beside whose weights it makes a folder a saved network."""
+    with atomic_path(folder / CONFIG_NAME, overwrite=overwrite) as temporary:
+        temporary.write_text(json.dumps({"stereokit": __version__, "network": config}, indent=2) + "\n")
+
+
+def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoModel":
+    """Builds the network that a configuration describes and loads its weights, in eval mode.
+
+    Args:
+        folder_or_id: a folder, or a repository of the Hugging Face hub, owner/name.
+        hub_arguments: of `huggingface_hub.hf_hub_download`.
+
+    Raises:
+        CheckpointError: the configuration or the weights are missing, damaged or of different networks.
+    """
+    path = _fetch(folder_or_id, CONFIG_NAME, hub_arguments)
+    try:
+        config = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"the configuration {path!r} can't be read: {error}") from error
+    if not isinstance(config, Mapping) or not isinstance(config.get("network"), Mapping):
+        raise CheckpointError(f"{path!r} is not the configuration of a stereokit network")
+    path = _fetch(folder_or_id, WEIGHTS_NAME, hub_arguments)
+    try:
+        state = load_file(path)
+    except (OSError, SafetensorError) as error:
+        raise CheckpointError(f"the weights {path!r} can't be read: {error}") from error
+    model: StereoModel = rebuild(config["network"])
+    load_state(model, state, path)
+    return model.eval()
+
+
+def _fetch(folder_or_id: str, name: str, hub_arguments: Mapping[str, Any]) -> str:
+    if os.path.isdir(folder_or_id):
+        path = os.path.join(folder_or_id, name)
+        if not os.path.isfile(path):
+            raise CheckpointError(f"the folder {folder_or_id!r} holds no saved network: {name} is not there")
+        return path
+    if not is_hub_id(folder_or_id):
+        raise CheckpointError(
+            f"{folder_or_id!r} is no folder, and no repository of the hub, owner/name; give a folder that "
+            "save_pretrained wrote"
+        )
+    try:
+        return hf_hub_download(folder_or_id, name, **hub_arguments)
+    except (OSError, HFValidationError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise CheckpointError(
+            f"{folder_or_id!r} is no folder, and can't be read as a repository of the hub: {reason}"
+        ) from error
+
+
+def load_state(model: torch.nn.Module, state: Mapping[str, Tensor], source: str) -> None:
+    """Loads weights that must fit exactly.
+
+    Raises:
+        CheckpointError: keys are missing or unknown, have other shapes, or values that are not finite; each is named.
+    """
+    wanted = model.state_dict()
+    problems = [
+        *(f"missing {key}" for key in wanted if key not in state),
+        *(f"unknown {key}" for key in state if key not in wanted),
+        *(
+            f"{key} has shape {tuple(state[key].shape)}, not {tuple(value.shape)}"
+            for key, value in wanted.items()
+            if key in state and state[key].shape != value.shape
+        ),
+    ]
+    if problems:
+        raise CheckpointError(f"{source!r} does not fit the network: {'; '.join(problems)}")
+    broken = [key for key, value in state.items() if not value.isfinite().all()]
+    if broken:
+        raise CheckpointError(f"{source!r} holds weights that are NaN or infinite: {', '.join(broken)}")
+    model.load_state_dict(dict(state))
