@@ -67,14 +67,14 @@ class StackedCorrelation(nn.Module):
     def __init__(self, cost: CorrelationVolume) -> None:
         super().__init__()
         self.projection = cost.projection
-        self.in_channels, self.out_channels, self.levels = cost.in_channels, cost.out_channels, cost.levels
+        self.in_channels, self.out_channels, self.planes = cost.in_channels, cost.out_channels, cost.planes
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Left and right features to a cost volume."""
         left, right = (F.normalize(x, dim=1) for x in self.projection(left, right))
         batch, channels, height, width = right.shape
-        shifted = F.unfold(F.pad(right, (self.levels - 1, 0)), (1, width))
-        shifted = shifted.reshape(batch, channels, width, height, self.levels).permute(0, 1, 4, 3, 2).flip(2)
+        shifted = F.unfold(F.pad(right, (self.planes - 1, 0)), (1, width))
+        shifted = shifted.reshape(batch, channels, width, height, self.planes).permute(0, 1, 4, 3, 2).flip(2)
         return (left.unsqueeze(2) * shifted).sum(1, keepdim=True)
 
 

@@ -11,24 +11,24 @@ from stereokit.costs.shift import shifted_stack
 from stereokit.registry import COSTS, GUIDANCE
 
 
-@COSTS.register("difference")
-class DifferenceVolume(nn.Module):
-    """Absolute difference of left and shifted right features, as in StereoNet.
+@COSTS.register("absolute_difference")
+class AbsoluteDifference(nn.Module):
+    """Absolute difference of left and shifted right features.
 
-    The builder offers a cost `in_channels` and `levels`; all further arguments are the user's.
+    The builder offers a cost `in_channels` and `planes`; all further arguments are the user's.
     """
 
-    def __init__(self, *, in_channels: int, levels: int, channels: int = 16) -> None:
+    def __init__(self, *, in_channels: int, planes: int, channels: int = 16) -> None:
         super().__init__()
         self.in_channels = in_channels
         self.out_channels = channels
-        self.levels = levels
+        self.planes = planes
         self.project = nn.Conv2d(in_channels, channels, 1)
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """Two (B, in_channels, H, W) to (B, channels, levels, H, W)."""
+        """Two (B, in_channels, H, W) to (B, channels, planes, H, W)."""
         left, right = self.project(left), self.project(right)
-        return (left.unsqueeze(2) - shifted_stack(right, self.levels)).abs()
+        return (left.unsqueeze(2) - shifted_stack(right, self.planes)).abs()
 
 
 @GUIDANCE.register("gain")
@@ -45,7 +45,9 @@ class GainGuidance(nn.Module):
 
 
 def main() -> None:
-    model = build_model("coex", cost={"name": "difference", "channels": 12}, guidance="gain", max_disparity=64).eval()
+    model = build_model(
+        "coex", cost={"name": "absolute_difference", "channels": 12}, guidance="gain", max_disparity=64
+    ).eval()
     left, right = torch.rand(2, 1, 3, 120, 200)
     with torch.inference_mode():
         disparity = model(left, right).disparity

@@ -4,19 +4,31 @@ from stereokit._version import __version__
 from stereokit.aggregation import EncoderDecoder, Hourglass, StackedHourglass
 from stereokit.backbones import ResidualTower, SpatialPyramid, UNet
 from stereokit.builder import build_model
-from stereokit.costs import ConcatenationVolume, CorrelationVolume, GroupwiseCorrelationVolume
+from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
+from stereokit.contracts import StereoOutput
+from stereokit.costs import (
+    CombinedVolume,
+    ConcatenationVolume,
+    CorrelationVolume,
+    DifferenceVolume,
+    GroupwiseCorrelationVolume,
+)
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.guidance import GCE, AdditiveGuidance, NeighborhoodAggregation
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
-from stereokit.model import StereoModel, StereoOutput
+from stereokit.model import StereoModel
 from stereokit.models import coex, gcnet, psmnet
+from stereokit.network import StereoNetwork
 from stereokit.registry import (
     AGGREGATIONS,
     BACKBONES,
+    CANDIDATES,
     COSTS,
     GUIDANCE,
+    LOSSES,
     MODELS,
+    REFINEMENTS,
     REGRESSIONS,
     UPSAMPLERS,
     WEIGHTS,
@@ -31,24 +43,31 @@ from stereokit.weights.published import load_published
 __all__ = [
     "AGGREGATIONS",
     "BACKBONES",
+    "CANDIDATES",
     "COSTS",
     "GCE",
     "GUIDANCE",
+    "LOSSES",
     "MODELS",
+    "REFINEMENTS",
     "REGRESSIONS",
     "UPSAMPLERS",
     "WEIGHTS",
     "AdditiveGuidance",
     "CheckpointError",
+    "CombinedVolume",
     "ConcatenationVolume",
     "ConfigError",
     "CorrelationVolume",
+    "DifferenceVolume",
+    "DisparityRange",
     "DisparityResult",
     "EncoderDecoder",
     "GroupwiseCorrelationVolume",
     "Hourglass",
     "InputError",
     "NeighborhoodAggregation",
+    "NeighborhoodRange",
     "Predictor",
     "ResidualTower",
     "SoftArgmin",
@@ -56,10 +75,12 @@ __all__ = [
     "StackedHourglass",
     "StereoKitError",
     "StereoModel",
+    "StereoNetwork",
     "StereoOutput",
     "SuperpixelUpsampler",
     "TopKSoftArgmin",
     "UNet",
+    "UniformCandidates",
     "__version__",
     "build_model",
     "coex",

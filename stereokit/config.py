@@ -9,10 +9,25 @@ from torch import nn
 from stereokit.errors import ConfigError
 from stereokit.registry import MODELS, suggest
 
-__all__ = ["Component", "ModelConfig", "Override", "Presets", "as_json", "expand_top_k", "rebuild"]
+__all__ = [
+    "IMAGENET_MEAN",
+    "IMAGENET_STD",
+    "Component",
+    "ModelConfig",
+    "NetworkConfig",
+    "Override",
+    "Presets",
+    "as_json",
+    "expand_shorthands",
+    "rebuild",
+]
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+"""Of the RGB channels of images in [0, 1]."""
 
 Component: TypeAlias = dict[str, Any]
-"""``{"name": .., **arguments}``"""
+"""``{"name": ..., **arguments}``"""
 
 Override: TypeAlias = str | Component | nn.Module
 """A component's name, its name with arguments, or the block itself."""
@@ -20,9 +35,12 @@ Override: TypeAlias = str | Component | nn.Module
 Presets: TypeAlias = Mapping[str, Mapping[str, Component]]
 """Arguments that a recipe gives a component when it is chosen: slot, then name, then arguments."""
 
+NetworkConfig: TypeAlias = Mapping[str, Any]
+"""``{"name": ..., **arguments}`` of any registered network; of one made of slots it is a `ModelConfig`."""
+
 
 class ModelConfig(TypedDict):
-    """All that a network is built from: plain JSON, in and out.
+    """All that a network of slots is built from: plain JSON, in and out.
 
     >>> from stereokit import build_model
     >>> config = build_model("coex").config
@@ -34,16 +52,25 @@ class ModelConfig(TypedDict):
 
     name: str
     backbone: Component
+    stride: int | None
+    """Of the maps that the last stage compares; None for the backbone's finest."""
+    coarse: list[dict[str, Any]]
+    """The stages ahead of the last one, from coarse to fine: a stride, a weight in the loss, and what differs from the
+    last stage in `candidates`, `cost`, `guidance`, `guidance_at`, `aggregation`, `regression` and `upsampler`."""
+    candidates: Component
     cost: Component
     guidance: Component
     guidance_at: Literal["one", "full"]
     aggregation: Component
     regression: Component
     upsampler: Component
+    refinements: list[Component]
     max_disparity: int
     mean: list[float]
     std: list[float]
-    padding: Literal["replicate", "zeros"]
+    statistics: Literal["fixed", "image"]
+    padding: Literal["replicate", "zeros", "black"]
+    corner: Literal["bottom_right", "top_right"]
 
 
 def rebuild(config: Mapping[str, Any], **overrides: Any) -> Any:
@@ -68,20 +95,27 @@ def rebuild(config: Mapping[str, Any], **overrides: Any) -> Any:
         raise ConfigError(f"a configuration holds the name of its model, one of {', '.join(MODELS.names())}")
     if "top_k" in overrides:
         settings.pop("regression", None)
+    if overrides.get("guidance") in ("none", {"name": "none"}):
+        # where there is none, its places are nowhere
+        settings.pop("guidance_at", None)
     for slot, override in overrides.items():
         # a dict without a name changes arguments of what the configuration holds
         if isinstance(override, Mapping) and "name" not in override and isinstance(settings.get(slot), Mapping):
             override = {**settings[slot], **override}
         settings[slot] = override
-    return MODELS.build(name, settings)
+    network = MODELS.build(name, settings)
+    if getattr(network, "_config", "none of its own") is None:
+        # a registered class, which knows nothing of its name
+        network._config = as_json({"name": name, **MODELS.resolve(name, settings, {})})
+    return network
 
 
-def expand_top_k(overrides: dict[str, Any]) -> None:
+def expand_shorthands(overrides: dict[str, Any]) -> None:
     """Turns the shorthand `top_k` into a regression, in place."""
     if "top_k" not in overrides:
         return
     if "regression" in overrides:
-        raise ConfigError("top_k=.. is short for a regression: give one of top_k and regression")
+        raise ConfigError("top_k=... is short for a regression: give one of top_k and regression")
     overrides["regression"] = {"name": "top_k", "k": overrides.pop("top_k")}
 
 

@@ -1,40 +1,48 @@
 """What each slot takes and gives.
 
-A network is one choice per slot::
+A network made of slots is one choice for each of them, once or from coarse to fine::
 
-    images ─▶ backbone ─▶ cost ─▶ aggregation ─▶ regression ─▶ upsampler ─▶ disparity
-                  └────── guides ─────┴──────────────────────────┘
+    left, right ─▶ Backbone ─▶ features of both views, by stride
+       ┌──────────────── stage ─────────────────────────────────────────────────────┐
+       │ Candidates ─▶ Cost ─▶ Aggregation (+ Guidance) ─▶ Upsampler¹ ─▶ Regression │ ─▶ Prediction
+       └────────▲──────────────────────── prediction before ────────────────────────┘
+    ─▶ Upsampler² ─▶ Refinements ─▶ disparity
+    ¹ if it acts on logits   ² if it acts on disparity
 
 The protocols below are all that a component owes its neighbours; a plain `torch.nn.Module` with these attributes
-fits. Strides are in pixels of the padded input: a map of stride 4 has a quarter of its height and width.
+fits. Strides are in pixels of the padded input: a map of stride 4 has a quarter of its height and width. Disparities
+are in pixels of the full-size image, unless said otherwise.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
 from torch import Tensor, nn
-
-from stereokit.errors import ConfigError
+from torch.nn import functional as F
 
 __all__ = [
     "Aggregation",
     "Backbone",
+    "Candidates",
     "Cost",
+    "Distribution",
     "FeatureInfo",
     "Features",
     "GuidanceFactory",
     "GuidancePlacement",
     "Guides",
+    "Prediction",
+    "Refinement",
     "Regression",
+    "Sampler",
+    "StereoOutput",
     "Upsampler",
-    "check_contracts",
-    "check_interface",
 ]
 
 Guides = Mapping[int, Tensor]
-"""Feature maps of the left image by stride, each (B, C, H / stride, W / stride)."""
+"""Feature maps of the left image by stride, each (B, C, H / stride, W / stride). Stride 1 is the normalised image,
+where a backbone gives nothing else."""
 
 GuidancePlacement = Literal["one", "full"]
 """Guidance at the finest scale of the aggregation only, or at every scale."""
@@ -43,24 +51,28 @@ GuidancePlacement = Literal["one", "full"]
 class Features(NamedTuple):
     """What a backbone returns for a batch of images."""
 
-    matching: Tensor
-    """(B, C, h, w): the map that the cost compares."""
-    guides: dict[int, Tensor]
-    """Maps that guide aggregation and upsampling, by stride."""
+    matching: Mapping[int, Tensor]
+    """The maps that costs compare, by stride, each (B, C, H / stride, W / stride). Most backbones have one."""
+    guides: Mapping[int, Tensor]
+    """Maps that guide aggregation, upsampling and refinement, by stride."""
 
 
 @dataclass(frozen=True)
 class FeatureInfo:
-    """Channels and strides of a backbone's `Features`.
+    """Channels of a backbone's `Features`, by stride.
 
-    >>> info = FeatureInfo(matching_channels=96, matching_stride=4, guide_channels={2: 32, 4: 96, 8: 64})
-    >>> info.channels_at(8), info.channels_at(32)
-    (64, 64)
+    >>> info = FeatureInfo(matching_channels={4: 96}, guide_channels={2: 32, 4: 96, 8: 64})
+    >>> info.channels_at(8), info.channels_at(32), info.channels_at(1)
+    (64, 64, 3)
     """
 
-    matching_channels: int
-    matching_stride: int
+    matching_channels: Mapping[int, int]
     guide_channels: Mapping[int, int]
+
+    @property
+    def finest(self) -> int:
+        """The finest stride that has a matching map."""
+        return min(self.matching_channels)
 
     @property
     def coarsest_guide(self) -> int:
@@ -71,14 +83,100 @@ class FeatureInfo:
         """Channels of the guide at `stride`, given or averaged down from the coarsest; None where there is none."""
         if self.guide_channels and stride > self.coarsest_guide and stride % self.coarsest_guide == 0:
             return self.guide_channels[self.coarsest_guide]
-        return self.guide_channels.get(stride)
+        return self.guide_channels.get(stride, 3 if stride == 1 else None)
+
+
+class Candidates(NamedTuple):
+    """The disparities that one stage looks at."""
+
+    values: Tensor | None = None
+    """(D,) or (B, D, h, w), in px, at any resolution; None where they are uniform from 0 and as far apart as the pixels
+    of the maps that are compared, for which costs have a fast form."""
+    weights: Tensor | None = None
+    """(B, D, h, w): their probability in the stage before."""
+
+
+class Distribution(NamedTuple):
+    """What one head of an aggregation says about the candidates; a bare tensor stands for its logits."""
+
+    logits: Tensor
+    """(B, D, h, w), larger is better."""
+    stride: int
+    """Of the logits."""
+    spacing: float
+    """px between planes, where they are uniform."""
+    first: float = 0.0
+    """px of the first plane, where they are uniform."""
+    values: Tensor | None = None
+    """px of each plane, (D,) or (B, D, h, w), where they are not uniform."""
+    offsets: Tensor | None = None
+    """px, (B, D, h, w), added to the candidates."""
+
+
+class Prediction(NamedTuple):
+    """One supervised output of a network, at its own resolution."""
+
+    disparity: Tensor
+    """(B, h, w), in px. At a stride above 1 it covers the padded input."""
+    stride: int = 1
+    distribution: Distribution | None = None
+    """What it comes from, where there is such a thing."""
+    spread: Tensor | None = None
+    """(B, h, w), in px: how far the truth may lie away."""
+    quantile: float | None = None
+    """That it stands for, where it is not the expected value."""
+
+
+class StereoOutput(NamedTuple):
+    """What every network returns, in training and in eval mode alike."""
+
+    disparity: Tensor
+    """(B, H, W), pixels of the left image."""
+    predictions: tuple[Prediction, ...] = ()
+    """For the loss, weighed by `loss_weights` of the network, the best one last. In eval mode there are none unless
+    asked for."""
+    confidence: Tensor | None = None
+    """(B, H, W) in [0, 1]: the probability mass behind the estimate. None in training mode."""
+
+    @property
+    def auxiliary(self) -> tuple[Tensor, ...]:
+        """All predictions but the last as (B, H, W): coarse ones are interpolated, and cut to the size of the image."""
+        height, width = self.disparity.shape[-2:]
+        return tuple(at_full_size(p)[:, :height, :width] for p in self.predictions[:-1])
+
+    @property
+    def logits(self) -> Tensor | None:
+        """(B, D', H', W') of the best head, larger is better, of the padded input; None where there are none."""
+        distribution = self.distribution
+        return None if distribution is None else distribution.logits
+
+    @property
+    def distribution(self) -> Distribution | None:
+        """Of the best head; None where there is none."""
+        return next((p.distribution for p in reversed(self.predictions) if p.distribution is not None), None)
+
+
+def at_full_size(prediction: Prediction) -> Tensor:
+    """The disparity of a prediction at stride 1, interpolated; values are not scaled.
+
+    >>> import torch
+    >>> at_full_size(Prediction(torch.full((1, 2, 3), 7.0), stride=4)).shape
+    torch.Size([1, 8, 12])
+    """
+    disparity, scale = prediction.disparity, prediction.stride
+    if scale == 1:
+        return disparity
+    return F.interpolate(disparity.unsqueeze(1), scale_factor=scale, mode="bilinear", align_corners=False).squeeze(1)
 
 
 class GuidanceFactory(Protocol):
     """Makes one guidance block: a class such as `GCE`, or a partial of one."""
 
     def __call__(self, *, guide_channels: int, volume_channels: int) -> nn.Module:
-        """A module ``(volume (B, C, D, H, W), guide (B, G, H, W)) -> volume`` of the volume's shape."""
+        """A module ``(volume (B, C, D, H, W), guide (B, G, H, W)) -> volume`` of the volume's shape.
+
+        Aggregations of 2D convolutions give it their maps as volumes of depth 1.
+        """
 
 
 class Backbone(Protocol):
@@ -92,15 +190,34 @@ class Backbone(Protocol):
         """(B, 3, H, W) normalised images to features."""
 
 
+class Sampler(Protocol):
+    """Chooses the candidates of a stage."""
+
+    planes: int
+    """Of the cost volume."""
+    spacing: float
+    """px between planes, where they are uniform; else the finest that there may be."""
+    fixed: bool
+    """Whether the candidates are uniform from 0, one for each pixel of the maps: then `values` is None."""
+
+    def __call__(self, left: Features, right: Features, before: Prediction | None) -> Candidates:
+        """Features of both views, and what the stage before predicted, to candidates."""
+
+
 class Cost(Protocol):
     """Left and right matching features to a cost volume."""
 
     in_channels: int
     out_channels: int
-    levels: int
+    planes: int
+    warps: bool
+    """Whether it takes candidates; may be left out where it does not."""
 
-    def __call__(self, left: Tensor, right: Tensor) -> Tensor:
-        """Two (B, in_channels, h, w) maps to (B, out_channels, levels, h, w)."""
+    def __call__(self, left: Tensor, right: Tensor, candidates: Tensor | None = None) -> Tensor:
+        """Two (B, in_channels, h, w) maps to (B, out_channels, planes, h, w).
+
+        `candidates` are (B, planes, h, w), in pixels of the maps; None for 0, 1, .., planes - 1.
+        """
 
 
 class Aggregation(Protocol):
@@ -110,13 +227,15 @@ class Aggregation(Protocol):
     guide_channels: Mapping[int, int]
     """The guides that it reads: channels by stride. Empty without guidance."""
     multiple: int
-    """Levels, height and width of the volume are multiples of this."""
+    """Height and width of the volume are multiples of this."""
+    planes_multiple: int
+    """The number of planes is a multiple of this."""
     upscale: int
     """The logits are this many times finer than the volume, in all three dimensions."""
-    auxiliary_weights: tuple[float, ...]
-    """Weight in the loss of each head but the last, which has weight 1."""
+    loss_weights: tuple[float, ...]
+    """Weight in the loss of each head, in their order."""
 
-    def __call__(self, volume: Tensor, guides: Guides) -> tuple[Tensor, ...]:
+    def __call__(self, volume: Tensor, guides: Guides) -> tuple[Tensor | Distribution, ...]:
         """(B, in_channels, D, h, w) to one (B, D * upscale, h * upscale, w * upscale) per head, the best one last.
 
         In eval mode it may return the last head alone.
@@ -124,27 +243,26 @@ class Aggregation(Protocol):
 
 
 class Regression(Protocol):
-    """Logits to disparity, in levels.
-
-    A regression may also have a method ``with_confidence(logits)`` that returns what `__call__` and `confidence` do,
-    where the two share work.
-    """
+    """Logits to disparity."""
 
     min_levels: int
     """The fewest levels that it can work on."""
 
     def __call__(self, logits: Tensor, candidates: Tensor | None = None) -> Tensor:
-        """(B, D, h, w) logits, larger is better, to (B, h, w), the expected candidate (0, 1, .., D - 1 by default)."""
+        """(B, D, h, w) logits, larger is better, to (B, h, w), the expected candidate (0, 1, .., D - 1 by default).
 
-    def confidence(self, logits: Tensor) -> Tensor:
-        """(B, D, h, w) logits to (B, h, w) in [0, 1]: the probability mass behind the estimate."""
+        `candidates` are (D,), or broadcastable to the logits.
+        """
+
+    def with_confidence(self, logits: Tensor, candidates: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """What `__call__` gives, and (B, h, w) in [0, 1]: the probability mass behind the estimate."""
 
 
 class Upsampler(Protocol):
-    """From the stride of the logits to full resolution."""
+    """From the stride of the logits to full resolution, or to that of the first refinement."""
 
     scale: int
-    """The stride of what it takes."""
+    """By which height and width grow."""
     domain: Literal["volume", "disparity"]
     """What it upsamples: the logits before the regression, or the disparity after it."""
     learned: bool
@@ -152,119 +270,19 @@ class Upsampler(Protocol):
     guide_channels: Mapping[int, int]
 
     def __call__(self, x: Tensor, guides: Guides) -> Tensor:
-        """Logits (B, D, h, w) to (B, D * scale, H, W), or disparity (B, h, w) to (B, H, W), its values unchanged."""
+        """Logits (B, D, h, w) to (B, D * scale, H, W), or disparity (B, h, w) to (B, H, W), its values unchanged.
+
+        One of domain "volume" may have an attribute `planes_scale`, by which the planes grow in place of `scale`.
+        """
 
 
-_PROTOCOLS: Mapping[str, type] = {
-    "backbone": Backbone,
-    "cost": Cost,
-    "aggregation": Aggregation,
-    "regression": Regression,
-    "upsampler": Upsampler,
-}
+class Refinement(Protocol):
+    """Mends a disparity."""
 
+    stride: int
+    """Of what it gives. It takes that stride or a coarser one."""
+    guide_channels: Mapping[int, int]
+    loss_weight: float
 
-def check_interface(slot: str, block: object) -> None:
-    """Raises `ConfigError` unless a block has all the attributes of its slot; names those that it lacks."""
-    protocol = _PROTOCOLS[slot]
-    wanted = (name for name in (*protocol.__annotations__, *vars(protocol)) if not name.startswith("_"))
-    missing = [name for name in wanted if not hasattr(block, name)]
-    if missing:
-        raise ConfigError(
-            f"{slot} {type(block).__name__} lacks {', '.join(missing)}; see stereokit.contracts.{protocol.__name__}"
-        )
-
-
-def check_contracts(
-    *,
-    backbone: Backbone,
-    cost: Cost,
-    aggregation: Aggregation,
-    regression: Regression,
-    upsampler: Upsampler,
-    max_disparity: int,
-) -> None:
-    """Holds each block to what its neighbours give.
-
-    Raises:
-        ConfigError: names both blocks, what the one gives and what the other wants; or a block and what it lacks.
-    """
-    blocks = {
-        "backbone": backbone,
-        "cost": cost,
-        "aggregation": aggregation,
-        "regression": regression,
-        "upsampler": upsampler,
-    }
-    for slot, block in blocks.items():
-        check_interface(slot, block)
-    names = {slot: f"{slot} {type(block).__name__}" for slot, block in blocks.items()}
-    info = backbone.info
-    stride = info.matching_stride
-
-    def same(giver: str, given: object, taker: str, wanted: object, what: str) -> None:
-        if given != wanted:
-            raise ConfigError(f"{names[giver]} gives {what} {given}, but {names[taker]} wants {wanted}")
-
-    same("backbone", info.matching_channels, "cost", cost.in_channels, "matching channels:")
-    step = stride * aggregation.multiple
-    check_max_disparity(max_disparity, step, f"{names['backbone']} (stride {stride}) and {names['aggregation']}")
-    if cost.levels * stride != max_disparity:
-        raise ConfigError(
-            f"{names['cost']} has {cost.levels} levels, but max_disparity {max_disparity} at stride {stride} of "
-            f"{names['backbone']} wants {max_disparity // stride}"
-        )
-    same("cost", cost.out_channels, "aggregation", aggregation.in_channels, "volume channels:")
-    for taker, wanted in (
-        ("aggregation", aggregation.guide_channels),
-        ("upsampler", upsampler.guide_channels),
-    ):
-        for guide_stride, channels in wanted.items():
-            same(
-                "backbone",
-                info.channels_at(guide_stride),
-                taker,
-                channels,
-                f"guide channels at stride {guide_stride}:",
-            )
-    out_stride, remainder = divmod(stride, aggregation.upscale)
-    if remainder:
-        raise ConfigError(
-            f"{names['aggregation']} refines by {aggregation.upscale}, which does not divide the stride {stride} of "
-            f"{names['backbone']}"
-        )
-    same("aggregation", out_stride, "upsampler", upsampler.scale, "logits at stride:")
-    levels = regression_levels(max_disparity, out_stride, upsampler)
-    if regression.min_levels > levels:
-        raise ConfigError(
-            f"{names['regression']} needs {regression.min_levels} levels (its k), but {names['aggregation']} with "
-            f"{names['upsampler']} gives it {levels}; use k from 1 to {levels}"
-        )
-
-
-def regression_levels(max_disparity: int, logits_stride: int, upsampler: Upsampler) -> int:
-    """How many levels reach the regression."""
-    return max_disparity if upsampler.domain == "volume" else max_disparity // logits_stride
-
-
-def check_max_disparity(max_disparity: int, multiple: int, blocks: str) -> None:
-    """Raises `ConfigError` unless `max_disparity` is a positive multiple of `multiple`; use says which."""
-    if isinstance(max_disparity, bool) or not isinstance(max_disparity, int):
-        raise ConfigError(f"max_disparity is a whole number of pixels, not {max_disparity!r}")
-    if max_disparity > 0 and max_disparity % multiple == 0:
-        return
-    below = max_disparity // multiple * multiple
-    would_do = " or ".join(str(d) for d in (below, below + multiple) if d > 0) if max_disparity > 0 else str(multiple)
-    raise ConfigError(
-        f"max_disparity {max_disparity} is not a positive multiple of {multiple}, which {blocks} need; use {would_do}"
-    )
-
-
-def input_multiple(backbone: Backbone, aggregation: Aggregation, upsampler: Upsampler) -> int:
-    """Height and width of the padded input are multiples of this: every stride of the network divides them."""
-    return math.lcm(
-        backbone.multiple,
-        backbone.info.matching_stride * aggregation.multiple,
-        *aggregation.guide_channels,
-        *upsampler.guide_channels,
-    )
+    def __call__(self, disparity: Tensor, left: Tensor, right: Tensor, guides: Guides) -> Tensor:
+        """Disparity (B, h, w) and the normalised, padded images (B, 3, H, W) to (B, H / stride, W / stride)."""

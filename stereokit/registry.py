@@ -21,9 +21,12 @@ from stereokit.errors import ConfigError, StereoKitError
 __all__ = [
     "AGGREGATIONS",
     "BACKBONES",
+    "CANDIDATES",
     "COSTS",
     "GUIDANCE",
+    "LOSSES",
     "MODELS",
+    "REFINEMENTS",
     "REGRESSIONS",
     "UPSAMPLERS",
     "WEIGHTS",
@@ -91,6 +94,15 @@ class Registry:
             return factory
 
         return decorate
+
+    def remove(self, name: str) -> None:
+        """Forgets what is registered under `name`.
+
+        Raises:
+            ConfigError: no such name.
+        """
+        self.get(name)
+        del self._factories[name]
 
     def get(self, name: str) -> Callable[..., Any]:
         """The class or function registered under `name`.
@@ -165,23 +177,41 @@ class Registry:
 
 
 BACKBONES = Registry("backbones", kind="backbone")
+CANDIDATES = Registry("candidates", kind="candidates")
 COSTS = Registry("costs", kind="cost")
 GUIDANCE = Registry("guidance", kind="guidance")
 AGGREGATIONS = Registry("aggregations", kind="aggregation")
 REGRESSIONS = Registry("regressions", kind="regression")
 UPSAMPLERS = Registry("upsamplers", kind="upsampler")
+REFINEMENTS = Registry("refinements", kind="refinement")
+LOSSES = Registry("losses", kind="loss")
 MODELS = Registry("models", kind="model")
 WEIGHTS = Registry("weights", kind="weights")
 
-REGISTRIES = {r.slot: r for r in (BACKBONES, COSTS, GUIDANCE, AGGREGATIONS, REGRESSIONS, UPSAMPLERS, MODELS, WEIGHTS)}
+REGISTRIES = {
+    registry.slot: registry
+    for registry in (
+        BACKBONES,
+        CANDIDATES,
+        COSTS,
+        GUIDANCE,
+        AGGREGATIONS,
+        REGRESSIONS,
+        UPSAMPLERS,
+        REFINEMENTS,
+        LOSSES,
+        MODELS,
+        WEIGHTS,
+    )
+}
 
 
 def list_components(slot: str, pattern: str = "*") -> list[str]:
     """Names of the components that can fill a slot.
 
     Args:
-        slot: "backbones", "costs", "guidance", "aggregations", "regressions", "upsamplers", "models"
-            or "weights".
+        slot: "backbones", "candidates", "costs", "guidance", "aggregations", "regressions", "upsamplers",
+            "refinements", "losses", "models" or "weights".
         pattern: shell-style wildcard.
 
     Raises:

@@ -14,6 +14,9 @@ from stereokit import (
     Hourglass,
     ResidualTower,
     SoftArgmin,
+    StereoModel,
+    StereoNetwork,
+    StereoOutput,
     TopKSoftArgmin,
     UNet,
     build_model,
@@ -21,10 +24,10 @@ from stereokit import (
     list_models,
 )
 from stereokit.builder import compose
+from stereokit.config import ModelConfig
 from stereokit.guidance import GuidancePoint, NoGuidance
 from stereokit.models.ablation import ABLATION
-from stereokit.models.coex import RECIPE
-from stereokit.registry import COSTS, MODELS
+from stereokit.registry import AGGREGATIONS, COSTS, MODELS
 from stereokit.upsampling.interpolation import BilinearUpsampler, TrilinearUpsampler
 from tests.backbones.test_encoder import ENCODERS
 
@@ -56,11 +59,16 @@ def run(model, height=32, width=64):
         ("cost", "correlation", CorrelationVolume, {"name": "correlation", "projection": [48, 48]}),
         ("cost", {"projection": None}, CorrelationVolume, {"name": "correlation", "projection": None}),
         ("cost", {"projection": (8, 6)}, CorrelationVolume, {"name": "correlation", "projection": [8, 6]}),
-        ("regression", "soft_argmin", SoftArgmin, {"name": "soft_argmin"}),
+        ("regression", "soft_argmin", SoftArgmin, {"name": "soft_argmin", "include_end": False}),
         ("regression", {"k": 5}, TopKSoftArgmin, {"name": "top_k", "k": 5, "test_k": None}),
         ("regression", {"name": "top_k", "test_k": 3}, TopKSoftArgmin, {"name": "top_k", "k": 2, "test_k": 3}),
-        ("upsampler", "bilinear", BilinearUpsampler, {"name": "bilinear"}),
-        ("upsampler", {"name": "trilinear"}, TrilinearUpsampler, {"name": "trilinear"}),
+        ("upsampler", "bilinear", BilinearUpsampler, {"name": "bilinear", "align_corners": False}),
+        (
+            "upsampler",
+            {"name": "trilinear"},
+            TrilinearUpsampler,
+            {"name": "trilinear", "planes_scale": None, "align_corners": False},
+        ),
         (
             "aggregation",
             {"channels": [4, 8, 8, 8]},
@@ -81,7 +89,7 @@ def test_an_override_is_a_name_or_arguments(slot, choice, kind, resolved):
     ("slot", "block"),
     [
         ("backbone", UNet(encoder="resnet18")),
-        ("cost", CorrelationVolume(in_channels=96, levels=16)),
+        ("cost", CorrelationVolume(in_channels=96, planes=16)),
         ("aggregation", Hourglass(in_channels=1, channels=(2, 2, 2, 2))),
         ("regression", SoftArgmin()),
         ("upsampler", BilinearUpsampler(scale=4)),
@@ -124,23 +132,25 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"guidance": "none", "guidance_at": "two"}, ["guidance_at='two'"]),
         ({"cost": "corelation"}, ["unknown cost 'corelation'", "'correlation'"]),
         ({"cost": {"projektion": [8, 8]}}, ["cost 'correlation' takes no argument 'projektion'", "'projection'"]),
-        ({"cost": {"projection": [8]}}, ["cost 'correlation' can't be built with projection=[8]"]),
+        ({"cost": {"projection": 8}}, ["cost 'correlation' can't be built with projection=8"]),
+        ({"cost": {"projection": []}}, ["a projection has one width or more"]),
+        ({"cost": {"projection": {"width": [8]}}}, ["a projection has widths, an activation and a bias", "width"]),
         ({"cost": {"name": 5}}, ["the name of a cost is a string, not 5"]),
         ({"cost": {"name": ["correlation"]}}, ["the name of a cost is a string"]),
         ({"cost": 5}, ["cost=5: expected a component's name, a dict", "or a module"]),
         ({"cost": None}, ["cost=None: expected a component's name"]),
-        ({"cost": nn.Identity()}, ["cost Identity lacks in_channels, out_channels, levels"]),
+        ({"cost": nn.Identity()}, ["cost Identity lacks in_channels, out_channels, planes"]),
         (
-            {"cost": CorrelationVolume(in_channels=97, levels=48)},
+            {"cost": CorrelationVolume(in_channels=97, planes=48)},
             ["backbone UNet", "cost CorrelationVolume", "96", "97"],
         ),
-        ({"cost": CorrelationVolume(in_channels=96, levels=47)}, ["backbone UNet", "CorrelationVolume", "47", "48"]),
+        ({"cost": CorrelationVolume(in_channels=96, planes=47)}, ["backbone UNet", "CorrelationVolume", "47", "48"]),
         ({"cost": {"projection": (8, np.int64(8))}}, ["plain JSON", "int64"]),
         ({"aggregation": Hourglass(in_channels=2)}, ["cost CorrelationVolume", "aggregation Hourglass", "1", "2"]),
         ({"aggregation": {"channels": [8, 16]}}, ["aggregation 'hourglass' can't be built with channels=[8, 16]"]),
         ({"upsampler": BilinearUpsampler(scale=8)}, ["aggregation Hourglass", "upsampler BilinearUpsampler", "4", "8"]),
         ({"upsampler": "none"}, ["aggregation Hourglass", "upsampler NoUpsampler", "4", "1"]),
-        ({"regression": nn.Identity()}, ["regression Identity lacks min_levels, confidence"]),
+        ({"regression": nn.Identity()}, ["regression Identity lacks min_levels, with_confidence"]),
         ({"backbone": "spatial_pyramidd"}, ["unknown backbone 'spatial_pyramidd'", "'spatial_pyramid'"]),
         ({"backbone": "resnet19"}, ["unknown backbone 'resnet19'", "a timm model, such as 'resnet18' or "]),
         ({"backbone": {"encoder": "resnet81"}}, ["unknown timm model 'resnet81'", "'resnet18'"]),
@@ -160,7 +170,7 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"max_disparity": True}, ["whole number of pixels, not True"]),
         ({"max_disparity": "192"}, ["whole number of pixels, not '192'"]),
         ({"max_disparity": 192.0}, ["whole number of pixels, not 192.0"]),
-        ({"padding": "reflect"}, ["padding='reflect'", "use 'replicate' or 'zeros'"]),
+        ({"padding": "reflect"}, ["padding='reflect'", "use 'replicate', 'zeros' or 'black'"]),
         ({"mean": [0.5]}, ["mean is three numbers", "[0.5]"]),
         ({"std": [1, 1, 0]}, ["std is three positive numbers", "[1, 1, 0]"]),
         ({"std": "abc"}, ["std is three positive numbers", "'abc'"]),
@@ -267,7 +277,7 @@ def test_auxiliary_outputs_have_weights_wherever_they_come_from():
 @pytest.mark.parametrize("name", list_models())
 def test_other_ranges_of_disparity_rebuild(name, max_disparity):
     model = build_model(name, max_disparity=max_disparity)
-    assert model.cost.levels * model.backbone.info.matching_stride == max_disparity
+    assert model.cost.planes * model.stride == max_disparity
     assert build_model(model.config).max_disparity == max_disparity
 
 
@@ -293,10 +303,9 @@ def test_the_configuration_of_every_ablation_row_rebuilds_it(row):
 def test_configurations_are_plain_and_complete(name):
     config = build_model(name).config
     assert json.loads(json.dumps(config)) == config
-    assert set(config) == {
-        *("name", "backbone", "cost", "guidance", "guidance_at", "aggregation", "regression", "upsampler"),
-        *("max_disparity", "mean", "std", "padding"),
-    }
+    if isinstance(build_model(name), StereoModel):
+        assert set(config) == set(ModelConfig.__annotations__)
+    assert config["name"] == name
 
 
 def test_a_configuration_takes_overrides():
@@ -336,7 +345,8 @@ def test_preprocessing_is_an_override():
 
 
 def test_a_recipe_sets_arguments_that_an_override_may_leave():
-    recipe = {**RECIPE, "regression": {"name": "top_k", "k": 5, "test_k": 3}, "upsampler": {"name": "bilinear"}}
+    config = build_model("coex").config
+    recipe = {**config, "regression": {"name": "top_k", "k": 5, "test_k": 3}, "upsampler": {"name": "bilinear"}}
     model = compose(recipe, {"cost": {"groupwise_correlation": {"groups": 3}}}, {"regression": {"test_k": 4}})
     assert (model.regression.k, model.regression.test_k) == (5, 4)
     other = compose(recipe, {"cost": {"groupwise_correlation": {"groups": 3}}}, {"cost": "groupwise_correlation"})
@@ -352,7 +362,7 @@ def test_recipes_are_functions():
 
 
 def test_no_guidance_leaves_no_weights():
-    model = build_model("coex", guidance="none", guidance_at="full")
+    model = build_model("coex", guidance="none")
     points = [m for m in model.modules() if isinstance(m, GuidancePoint)]
     assert points
     assert all(isinstance(point.block, NoGuidance) for point in points)
@@ -362,27 +372,28 @@ def test_no_guidance_leaves_no_weights():
 @pytest.fixture
 def registered(monkeypatch):
     """Registries that forget what a test adds."""
-    for registry in (COSTS, MODELS):
+    for registry in (AGGREGATIONS, COSTS, MODELS):
         monkeypatch.setattr(registry, "_factories", dict(registry._factories))
 
 
 @pytest.mark.usefixtures("registered")
 def test_a_new_component_fills_its_slot():
-    @COSTS.register("difference")
+    @COSTS.register("gained")
     class Difference(nn.Module):
-        def __init__(self, *, in_channels, levels, gain=2.0):
+        def __init__(self, *, in_channels, planes, gain=2.0):
             super().__init__()
-            self.in_channels, self.out_channels, self.levels = in_channels, in_channels, levels
+            self.in_channels, self.out_channels, self.planes = in_channels, in_channels, planes
             self.gain = gain
+            self.warps = False
 
         def forward(self, left, right):
-            shifted = [right.roll(d, -1) for d in range(self.levels)]
+            shifted = [right.roll(d, -1) for d in range(self.planes)]
             return self.gain * (left.unsqueeze(2) - torch.stack(shifted, 2)).abs()
 
-    model = build_model("coex", max_disparity=64, cost="difference")
+    model = build_model("coex", max_disparity=64, cost="gained")
     run(model)
-    assert model.config["cost"] == {"name": "difference", "gain": 2.0}
-    assert build_model(model.config, cost={"name": "difference", "gain": 1.0}).cost.gain == 1
+    assert model.config["cost"] == {"name": "gained", "gain": 2.0}
+    assert build_model(model.config, cost={"name": "gained", "gain": 1.0}).cost.gain == 1
 
 
 @pytest.mark.usefixtures("registered")
@@ -393,18 +404,59 @@ def test_a_component_without_the_attributes_of_its_slot_is_refused():
             super().__init__()
             self.in_channels = in_channels
 
-    with pytest.raises(ConfigError, match="cost Bare lacks out_channels, levels"):
+    with pytest.raises(ConfigError, match="cost Bare lacks out_channels, planes"):
         build_model("coex", cost="bare")
 
 
 @pytest.mark.usefixtures("registered")
-def test_a_model_may_be_anything():
+def test_a_network_without_slots_is_built_and_described_by_name():
     @MODELS.register("constant")
-    def constant(value=1.0):
-        return value
+    class Constant(StereoNetwork):
+        def __init__(self, *, value=1.0, max_disparity=64):
+            super().__init__(max_disparity=max_disparity)
+            self.value = value
 
-    assert build_model("constant", value=3.0) == 3
-    assert build_model({"name": "constant", "value": 2.0}) == 2
+        def match(self, left, right):
+            return StereoOutput(torch.full_like(left[:, 0], self.value))
+
+    model = build_model("constant", value=3.0)
+    assert model.config == {"name": "constant", "value": 3.0, "max_disparity": 64}
+    assert build_model(model.config, value=2.0)(*torch.rand(2, 1, 3, 32, 40)).disparity.unique() == 2
+    with pytest.raises(ConfigError, match="model 'constant' takes no argument 'valeu'; did you mean 'value'"):
+        build_model("constant", valeu=3.0)
+
+
+@pytest.mark.usefixtures("registered")
+def test_what_is_no_network_is_refused():
+    MODELS.register("number")(lambda: 3.0)
+    with pytest.raises(ConfigError, match="model 'number' is a float, not a StereoNetwork"):
+        build_model("number")
+
+
+@pytest.mark.usefixtures("registered")
+def test_guidance_that_an_aggregation_has_no_place_for_is_refused():
+    @AGGREGATIONS.register("blind")
+    class Blind(Hourglass):
+        def __init__(self, *, in_channels):
+            super().__init__(in_channels=in_channels)
+
+    with pytest.raises(ConfigError, match=r"aggregation 'blind' has no place for guidance 'gce'.*use guidance='none'"):
+        build_model("coex", aggregation="blind")
+    model = build_model("coex", aggregation="blind", guidance="none")
+    assert model.config["guidance"] == {"name": "none"}
+    with pytest.raises(ConfigError, match="Hourglass was passed in as a module, with its guidance in it"):
+        build_model("coex", aggregation=Hourglass(in_channels=1), guidance="gce")
+    # of a module it is not known what guides it
+    assert "instance" in build_model("coex", aggregation=Hourglass(in_channels=1)).config["guidance"]
+
+
+def test_places_of_no_guidance_are_refused():
+    with pytest.raises(ConfigError, match="guidance_at='one' has no effect with guidance 'none'"):
+        build_model("coex", guidance="none", guidance_at="one")
+    full = build_model("psmnet", guidance="gce", guidance_at="full")
+    without = build_model(full.config, guidance="none").config
+    assert (without["guidance"], without["guidance_at"]) == ({"name": "none"}, "one")
+    assert build_model(without).config == without
 
 
 def test_a_dict_without_a_name_changes_what_the_configuration_holds():

@@ -21,6 +21,7 @@ from stereokit import (
 )
 from stereokit.contracts import FeatureInfo, Features
 from stereokit.losses import stereo_loss
+from stereokit.network import Preprocessing
 from stereokit.optimize import prepare_for_training
 from stereokit.upsampling.interpolation import BilinearUpsampler, TrilinearUpsampler, bilinear_upsample
 
@@ -109,7 +110,7 @@ def test_mode_changes_values_but_not_the_type(name):
     assert len(trained.auxiliary) == len(model.auxiliary_weights)
     assert all(d.shape == (1, 32, 64) for d in trained.auxiliary)
     assert trained.confidence is None
-    assert trained.logits is None
+    assert trained.logits is not None
     model.eval()
     output = model(*images)
     assert isinstance(output, StereoOutput)
@@ -121,7 +122,7 @@ def test_mode_changes_values_but_not_the_type(name):
 @every_model
 def test_logits_come_when_asked_for(name):
     model = build_model(name, max_disparity=32)
-    stride = model.backbone.info.matching_stride // model.aggregation.upscale
+    stride = model.stride // model.aggregation.upscale
     for mode in (True, False):
         logits = model.train(mode)(*pair(33, 64), return_logits=True).logits
         padded = math.ceil(33 / model.multiple) * model.multiple
@@ -238,22 +239,22 @@ def test_what_is_no_pair_of_images_is_refused(left, right, words):
 class Patches(nn.Module):
     """Each 4 x 4 patch as it is: a backbone without weights."""
 
-    info = FeatureInfo(matching_channels=48, matching_stride=4, guide_channels={4: 48})
+    info = FeatureInfo(matching_channels={4: 48}, guide_channels={4: 48})
     multiple = 4
 
     def forward(self, images):
         self.seen = images
         patches = F.pixel_unshuffle(images, 4)
-        return Features(matching=patches, guides={4: patches})
+        return Features(matching={4: patches}, guides={4: patches})
 
 
 class Similarity(nn.Module):
     """The cost as it is for logits, twice; keeps the guides that it is given."""
 
     in_channels = 1
-    multiple = 1
+    multiple = planes_multiple = 1
     upscale = 1
-    auxiliary_weights = (0.25,)
+    loss_weights = (0.25, 1.0)
 
     def __init__(self, **guide_channels):
         super().__init__()
@@ -268,13 +269,14 @@ class Similarity(nn.Module):
 def plain_network(**changes):
     blocks = {
         "backbone": Patches(),
-        "cost": CorrelationVolume(in_channels=48, levels=8),
+        "cost": CorrelationVolume(in_channels=48, planes=8),
         "aggregation": Similarity(),
         "regression": TopKSoftArgmin(1),
         "upsampler": BilinearUpsampler(scale=4),
     }
-    settings = {"max_disparity": 32, "mean": [0.5, 0.5, 0.5], "std": [0.25, 0.25, 0.25]}
-    return StereoModel(**{**blocks, **settings, **changes})
+    names = ("mean", "std", "padding", "corner", "statistics")
+    images = {"mean": [0.5, 0.5, 0.5], "std": [0.25, 0.25, 0.25]} | {n: changes.pop(n) for n in names if n in changes}
+    return StereoModel(**{**blocks, "max_disparity": 32, **changes}, preprocessing=Preprocessing(**images))
 
 
 @pytest.mark.parametrize("shift", [0, 4, 8, 20])
@@ -291,7 +293,6 @@ def test_modules_that_know_nothing_of_us_make_a_network_that_matches(shift):
 @pytest.mark.parametrize(("upsampler", "levels"), [(BilinearUpsampler(scale=4), 8), (TrilinearUpsampler(scale=4), 32)])
 def test_disparity_is_in_pixels_wherever_the_upsampling_is(upsampler, levels):
     model = plain_network(upsampler=upsampler, regression=TopKSoftArgmin(1)).eval()
-    assert model.pixels_per_level == 32 // levels
     disparity = model(*shifted_pair(40, 80, 8)).disparity[..., 16:64]
     # trilinear upsampling spreads level 2 over the pixels 8 to 11
     assert (disparity >= 8).all()
@@ -378,14 +379,14 @@ def test_a_learned_upsampler_adds_the_coarse_disparity_to_the_loss():
 def test_confidence_is_that_of_the_regression():
     model = plain_network(regression=TopKSoftArgmin(3)).eval()
     output = model(*pair(32, 48), return_logits=True)
-    assert_close(output.confidence, bilinear_upsample(model.regression.confidence(output.logits), 4))
+    assert_close(output.confidence, bilinear_upsample(model.regression.with_confidence(output.logits)[1], 4))
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         (
-            {"cost": CorrelationVolume(in_channels=47, levels=8)},
+            {"cost": CorrelationVolume(in_channels=47, planes=8)},
             ["backbone Patches", "cost CorrelationVolume", "48", "47"],
         ),
         ({"aggregation": Similarity(s4=40)}, ["backbone Patches", "aggregation Similarity", "48", "40"]),

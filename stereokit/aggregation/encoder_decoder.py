@@ -73,9 +73,9 @@ class EncoderDecoder(nn.Module):
     torch.Size([1, 32, 32, 64])
     """
 
-    multiple = 16
+    multiple = planes_multiple = 16
     upscale = 2
-    auxiliary_weights = ()
+    loss_weights = (1.0,)
 
     def __init__(
         self,

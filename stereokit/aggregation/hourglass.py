@@ -71,9 +71,9 @@ class Hourglass(nn.Module):
     torch.Size([1, 24, 32, 48])
     """
 
-    multiple = 8
+    multiple = planes_multiple = 8
     upscale = 1
-    auxiliary_weights = ()
+    loss_weights = (1.0,)
 
     def __init__(
         self,

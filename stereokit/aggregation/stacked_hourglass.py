@@ -68,9 +68,9 @@ class StackedHourglass(nn.Module):
     [torch.Size([2, 8, 16, 16]), torch.Size([2, 8, 16, 16]), torch.Size([2, 8, 16, 16])]
     """
 
-    multiple = 4
+    multiple = planes_multiple = 4
     upscale = 1
-    auxiliary_weights = (0.5, 0.7)
+    loss_weights = (0.5, 0.7, 1.0)
 
     def __init__(
         self,

@@ -23,7 +23,7 @@ class ResidualTower(nn.Module):
     table 1, layers 1 to 18.
 
     >>> import torch
-    >>> ResidualTower().eval()(torch.rand(1, 3, 32, 48)).matching.shape
+    >>> ResidualTower().eval()(torch.rand(1, 3, 32, 48)).matching[2].shape
     torch.Size([1, 32, 16, 24])
     """
 
@@ -35,9 +35,9 @@ class ResidualTower(nn.Module):
         self.blocks = nn.Sequential(*(ResidualBlock(channels, channels, last_activation=relu) for _ in range(blocks)))
         self.head = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
         init_convolutions(self.head)
-        self.info = FeatureInfo(matching_channels=channels, matching_stride=2, guide_channels={2: channels})
+        self.info = FeatureInfo(matching_channels={2: channels}, guide_channels={2: channels})
 
     def forward(self, images: Tensor) -> Features:
         """Images to features."""
         matching = self.head(self.blocks(self.stem(images)))
-        return Features(matching=matching, guides={2: matching})
+        return Features(matching={2: matching}, guides={2: matching})

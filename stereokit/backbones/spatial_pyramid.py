@@ -55,7 +55,7 @@ class SpatialPyramid(nn.Module):
 
     Source: Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, section 3.2 and table 1.
 
-    >>> SpatialPyramid().eval()(torch.rand(1, 3, 64, 96)).matching.shape
+    >>> SpatialPyramid().eval()(torch.rand(1, 3, 64, 96)).matching[4].shape
     torch.Size([1, 32, 16, 24])
     """
 
@@ -77,7 +77,7 @@ class SpatialPyramid(nn.Module):
             ConvNormAct(64 + 128 + 4 * 32, 128, activation=relu), nn.Conv2d(128, channels, 1, bias=False)
         )
         init_convolutions(self.fuse)
-        self.info = FeatureInfo(matching_channels=channels, matching_stride=4, guide_channels={2: 32, 4: channels})
+        self.info = FeatureInfo(matching_channels={4: channels}, guide_channels={2: 32, 4: channels})
 
     def forward(self, images: Tensor) -> Features:
         """Images to features."""
@@ -86,4 +86,4 @@ class SpatialPyramid(nn.Module):
         skip = self.layer4(self.layer3(raw))
         pyramid = torch.cat((raw, skip, *(branch(skip) for branch in self.branches)), dim=1)
         matching = self.fuse(pyramid)
-        return Features(matching=matching, guides={2: stem, 4: matching})
+        return Features(matching={4: matching}, guides={2: stem, 4: matching})

@@ -52,7 +52,7 @@ class UNet(nn.Module):
 
     Source: CoEx, section "Matching cost computation".
 
-    >>> UNet().eval()(torch.rand(1, 3, 64, 96)).matching.shape
+    >>> UNet().eval()(torch.rand(1, 3, 64, 96)).matching[4].shape
     torch.Size([1, 96, 16, 24])
     """
 
@@ -77,8 +77,7 @@ class UNet(nn.Module):
         self.merge_4 = ConvNormAct(self.up_4.out_channels, self.up_4.out_channels)
         matching = self.up_4.out_channels + stem4
         self.info = FeatureInfo(
-            matching_channels=matching,
-            matching_stride=4,
+            matching_channels={4: matching},
             guide_channels={
                 2: stem2,
                 4: matching,
@@ -97,4 +96,4 @@ class UNet(nn.Module):
         x8 = self.up_8(x16, skips[8])
         x4 = self.merge_4(self.up_4(x8, skips[4]))
         x4 = torch.cat((x4, stem_4), dim=1)
-        return Features(matching=x4, guides={2: stem_2, 4: x4, 8: x8, 16: x16, 32: skips[32]})
+        return Features(matching={4: x4}, guides={2: stem_2, 4: x4, 8: x8, 16: x16, 32: skips[32]})

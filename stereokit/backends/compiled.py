@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.estimate import Estimate
-from stereokit.data.inputs import as_float
 from stereokit.errors import ConfigError
+from stereokit.layers.casting import as_float
 from stereokit.optimize import PreparedNetwork
 
 __all__ = ["CompiledBackend", "compile_cache", "compile_network", "room_for_versions"]

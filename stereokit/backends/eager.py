@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.backends.estimate import Estimate
+from stereokit.contracts import StereoOutput
 from stereokit.errors import ConfigError
-from stereokit.model import StereoOutput
 from stereokit.optimize import PreparedNetwork, prepare_for_inference
 from stereokit.optimize.inference import EXAMPLE_SIZE
 from stereokit.runtime.precision import DTYPES

@@ -7,8 +7,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from stereokit.contracts import StereoOutput
 from stereokit.data.inputs import as_array
-from stereokit.model import StereoOutput
 
 __all__ = ["Backend", "Estimate"]
 

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from stereokit.backends.estimate import Estimate
 from stereokit.backends.metadata import ExportMetadata
 from stereokit.builder import build_model
-from stereokit.data.inputs import as_float
 from stereokit.errors import ConfigError, InputError
-from stereokit.model import check_least_size
+from stereokit.layers.casting import as_float
+from stereokit.network import check_least_size
 from stereokit.runtime.memory import estimate_memory
 
 __all__ = ["ExportedBackend"]

@@ -16,7 +16,7 @@ from stereokit.errors import CheckpointError, ConfigError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.export import export_onnx, export_openvino
 from stereokit.export.calibration import SYNTHETIC, find_pairs
-from stereokit.model import StereoModel
+from stereokit.network import StereoNetwork
 from stereokit.optimize import prepare_for_inference
 from stereokit.registry import list_models, suggest
 from stereokit.runtime.precision import DTYPES, dtype_of
@@ -222,15 +222,15 @@ def _rival(name: str, max_disparity: int | None = None) -> Any:
     return variant if max_disparity is None else replace(variant, search_range=max_disparity)
 
 
-def _saved(folder: str, max_disparity: int | None = None) -> StereoModel:
-    model = StereoModel.from_pretrained(folder)
+def _saved(folder: str, max_disparity: int | None = None) -> StereoNetwork:
+    model = StereoNetwork.from_pretrained(folder)
     if max_disparity in (None, model.max_disparity):
         return model
-    other: StereoModel = build_model(model.config, max_disparity=max_disparity)
+    other: StereoNetwork = build_model(model.config, max_disparity=max_disparity)
     return other
 
 
-def _published(path: str, max_disparity: int | None = None) -> StereoModel:
+def _published(path: str, max_disparity: int | None = None) -> StereoNetwork:
     overrides: dict[str, Any] = {} if max_disparity is None else {"max_disparity": max_disparity}
     refusals = []
     for network in NETWORKS:

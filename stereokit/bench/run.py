@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from tempfile import TemporaryDirectory
@@ -18,7 +18,7 @@ from stereokit.bench.report import Benchmark, Row
 from stereokit.bench.stages import StageClock
 from stereokit.bench.summary import model_summary
 from stereokit.errors import ConfigError, InputError
-from stereokit.model import StereoModel
+from stereokit.network import StereoNetwork
 from stereokit.optimize import PreparedNetwork
 from stereokit.runtime.clock import Clock, Timing, synchronised_clock, time_interleaved, without_traceback
 from stereokit.runtime.memory import available_memory, estimate_memory, format_memory, hand_back_memory
@@ -35,7 +35,7 @@ class _Prepared:
     """A candidate that has run already."""
 
     run: Callable[[], object]
-    network: StereoModel | None
+    network: StereoNetwork | None
     parameters: int | None
     multiply_adds: int | None
     first_seconds: float
@@ -137,11 +137,9 @@ def _prepare(candidate: Candidate, device: torch.device, warmup: int, clock: Clo
     if isinstance(network, nn.Module):
         parameters = sum(p.numel() for p in network.parameters())
         _check_memory(network.to(device), candidate, device)
-    if isinstance(network, StereoModel):
-        # one that was composed by hand has no names for its blocks
-        with suppress(ConfigError):
-            blocks = model_summary(network, candidate.height, candidate.width)
-            multiply_adds = candidate.batch * sum(block.multiply_adds for block in blocks)
+    if isinstance(network, StereoNetwork):
+        blocks = model_summary(network, candidate.height, candidate.width)
+        multiply_adds = candidate.batch * sum(block.multiply_adds for block in blocks)
     max_disparity = getattr(network, "max_disparity", getattr(network, "search_range", None))
     # from here on, with all imports done, the memory is the candidate's own
     del network
@@ -169,7 +167,7 @@ def _prepare(candidate: Candidate, device: torch.device, warmup: int, clock: Clo
     inner = ready.network if isinstance(ready, PreparedNetwork) else ready
     return _Prepared(
         run=run,
-        network=inner if isinstance(inner, StereoModel) else None,
+        network=inner if isinstance(inner, StereoNetwork) else None,
         parameters=parameters,
         multiply_adds=multiply_adds,
         first_seconds=first_seconds,

@@ -1,7 +1,7 @@
 """Where the time goes: the stages of a network, as in the time table of the CoEx paper."""
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from types import TracebackType
 from typing import Any
@@ -10,9 +10,10 @@ from torch import nn
 from torch.utils.hooks import RemovableHandle
 
 from stereokit.model import StereoModel
+from stereokit.network import StereoNetwork
 from stereokit.runtime.clock import Clock, synchronised_clock
 
-__all__ = ["STAGES", "StageClock"]
+__all__ = ["STAGES", "StageClock", "stages_of"]
 
 STAGES: dict[str, str] = {
     "backbone": "feature extraction",
@@ -21,17 +22,38 @@ STAGES: dict[str, str] = {
     "regression": "regression",
     "upsampler": "upsampling",
 }
-"""The slots of `StereoModel` and what the paper calls them."""
+"""The slots of `StereoModel` and what the paper of CoEx calls them."""
 
 REST = "rest"
+
+
+def stages_of(model: StereoNetwork) -> Iterator[tuple[str, nn.Module]]:
+    """The stages of a network by name, in the order in which they run.
+
+    >>> from stereokit import build_model
+    >>> [name for name, _ in stages_of(build_model("gcnet", max_disparity=32))]
+    ['feature extraction', 'cost volume', 'aggregation', 'regression', 'upsampling']
+    """
+    if not isinstance(model, StereoModel):
+        yield from model.named_children()
+        return
+    yield STAGES["backbone"], model.get_submodule("backbone")
+    for number, stage in enumerate(model.coarse, start=1):
+        yield f"coarse stage {number}", stage
+    if not model.candidates.fixed:
+        yield "candidates", model.get_submodule("candidates")
+    yield from ((stage, model.get_submodule(slot)) for slot, stage in STAGES.items() if slot != "backbone")
+    for number, refinement in enumerate(model.refinements, start=1):
+        yield f"refinement {number}", refinement
 
 
 class StageClock:
     """Splits the passes of a network in its block into stages.
 
-    The clock is read before and after each slot, and waits for the device each time, so that the passes take a little
-    longer than without it on a GPU. The regression has its confidence with it. What lies between the slots is the
-    "rest": normalisation, padding, cropping.
+    Stages are the slots of a network made of slots, with each coarse stage and each refinement as one; of any other
+    network its children, by name. The clock is read before and after each, and waits for the device each time, so that
+    the passes take a little longer than without it on a GPU. The regression has its confidence with it. What lies
+    between them is the "rest": normalisation, padding, cropping.
 
     Args:
         model: runs eagerly inside the block.
@@ -46,25 +68,23 @@ class StageClock:
     ['feature extraction', 'cost volume', 'aggregation', 'regression', 'upsampling', 'rest']
     """
 
-    def __init__(self, model: StereoModel, *, clock: Clock = synchronised_clock) -> None:
+    def __init__(self, model: StereoNetwork, *, clock: Clock = synchronised_clock) -> None:
         self.model = model
         self.clock = clock
         self.passes: list[dict[str, float]] = []
         """Seconds by stage, of each pass; they sum to the whole pass."""
         self._handles: list[RemovableHandle] = []
+        self._stages = dict(stages_of(model))
         self._spent: dict[str, float] = {}
         self._started: dict[str, float] = {}
 
     def __enter__(self) -> "StageClock":
-        for slot, stage in STAGES.items():
-            self._watch(getattr(self.model, slot), partial(self._begin, stage), partial(self._end, stage))
-        self._watch(self.model, self._begin_pass, self._end_pass)
-        regression: Any = self.model.regression
-        for name in ("confidence", "with_confidence"):
-            if not callable(method := getattr(regression, name, None)):
-                continue
+        for stage, block in self._stages.items():
+            self._watch(block, partial(self._begin, stage), partial(self._end, stage))
             # no hook is called for what is not a forward
-            regression.__dict__[name] = partial(self._timed, STAGES["regression"], method)
+            if callable(method := getattr(block, "with_confidence", None)):
+                block.__dict__["with_confidence"] = partial(self._timed, stage, method)
+        self._watch(self.model, self._begin_pass, self._end_pass)
         return self
 
     def __exit__(
@@ -73,8 +93,8 @@ class StageClock:
         for handle in self._handles:
             handle.remove()
         self._handles.clear()
-        for name in ("confidence", "with_confidence"):
-            vars(self.model.regression).pop(name, None)
+        for block in self._stages.values():
+            vars(block).pop("with_confidence", None)
 
     def _watch(self, module: Any, begin: Callable[[], None], end: Callable[[], None]) -> None:
         assert isinstance(module, nn.Module)
@@ -90,7 +110,7 @@ class StageClock:
     def _end_pass(self) -> None:
         self._end("pass")
         whole = self._spent.pop("pass")
-        stages = {stage: self._spent[stage] for stage in STAGES.values()}
+        stages = {stage: self._spent[stage] for stage in self._stages}
         self.passes.append({**stages, REST: whole - sum(stages.values())})
 
     def _begin(self, stage: str) -> None:

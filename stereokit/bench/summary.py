@@ -1,12 +1,14 @@
 """What a network costs: parameters and multiply-adds, block by block."""
 
 import copy
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import torch
+from torch import nn
 
-from stereokit.model import StereoModel
+from stereokit.config import NetworkConfig
+from stereokit.network import StereoNetwork
 
 __all__ = ["BlockCost", "model_summary"]
 
@@ -30,7 +32,7 @@ class BlockCost:
     multiply_adds: int
 
 
-def model_summary(model: StereoModel, height: int = 384, width: int = 1248) -> list[BlockCost]:
+def model_summary(model: StereoNetwork, height: int = 384, width: int = 1248) -> list[BlockCost]:
     """Parameters and multiply-adds of each block, for one pair of a size; nothing is computed.
 
     Interpolation, norms, activations and the softmax are not counted.
@@ -48,7 +50,7 @@ def model_summary(model: StereoModel, height: int = 384, width: int = 1248) -> l
     # slow to import, and few need it
     from torch.utils.flop_counter import FlopCounterMode
 
-    choices: dict[str, Any] = dict(model.config)
+    config = model._config or {}
     # on the meta device shapes are worked out without data
     twin = copy.deepcopy(model).to("meta").eval()
     image = torch.empty(1, 3, height, width, device="meta")
@@ -58,10 +60,25 @@ def model_summary(model: StereoModel, height: int = 384, width: int = 1248) -> l
     return [
         BlockCost(
             slot=slot,
-            name=choices[slot].get("name", "-"),
+            name=name,
             kind=type(block).__name__,
             parameters=sum(p.numel() for p in block.parameters()),
             multiply_adds=flops.get(f"{type(model).__name__}.{slot}", 0) // 2,
         )
-        for slot, block in model.named_children()
+        for slot, name, block in _blocks(model, config)
     ]
+
+
+def _blocks(model: StereoNetwork, config: NetworkConfig) -> Iterator[tuple[str, str, nn.Module]]:
+    """The blocks of a network: where each stands, its registered name, and itself."""
+    for slot, block in model.named_children():
+        if not isinstance(block, nn.ModuleList):
+            yield slot, _name(config.get(slot)), block
+            continue
+        listed = config.get(slot) or [None] * len(block)
+        for number, (part, choice) in enumerate(zip(block, listed, strict=True)):
+            yield f"{slot}.{number}", _name(choice), part
+
+
+def _name(choice: object) -> str:
+    return str(choice.get("name", "-")) if isinstance(choice, Mapping) else "-"

@@ -17,7 +17,7 @@ from stereokit.bench.run import run_benchmark
 from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.files import check_free
-from stereokit.model import MIN_SIZE
+from stereokit.network import MIN_SIZE
 from stereokit.registry import list_models, suggest
 from stereokit.runtime.device import choose_device
 

@@ -25,7 +25,7 @@ from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKit
 from stereokit.files import check_folder, check_free
 from stereokit.inference import Predictor, output_paths
 from stereokit.inference.bounds import TooLarge
-from stereokit.model import MIN_SIZE, StereoModel
+from stereokit.network import MIN_SIZE, StereoNetwork
 from stereokit.optimize import keep_freed_memory
 from stereokit.registry import MODELS, REGISTRIES, list_components
 from stereokit.runtime.precision import DTYPES
@@ -256,7 +256,7 @@ def _load_predictor(options: argparse.Namespace) -> Predictor:
     return Predictor(options.weights, options.device, options.backend, **settings)
 
 
-def _load_network(options: argparse.Namespace) -> StereoModel:
+def _load_network(options: argparse.Namespace) -> StereoNetwork:
     named = None if options.weights is None else named_weights(options.weights)
     if options.weights is None or named is not None:
         return _load_shipped(options, named)
@@ -272,7 +272,7 @@ def _load_network(options: argparse.Namespace) -> StereoModel:
             raise ConfigError(
                 "--channel-order and --top-k are for published checkpoints; a saved network knows its own"
             )
-        model = StereoModel.from_pretrained(options.weights)
+        model = StereoNetwork.from_pretrained(options.weights)
         name = model.config["name"]
         if options.model not in (None, name):
             raise CheckpointError(f"{options.weights!r} holds a {name}, not a {options.model}; leave out --model")
@@ -284,7 +284,7 @@ def _load_network(options: argparse.Namespace) -> StereoModel:
     return model
 
 
-def _load_shipped(options: argparse.Namespace, weights: str | None) -> StereoModel:
+def _load_shipped(options: argparse.Namespace, weights: str | None) -> StereoNetwork:
     network = options.model or "coex"
     if weights is None:
         MODELS.get(network)
@@ -309,7 +309,7 @@ def _train(options: argparse.Namespace) -> None:
     training_command.run(options, _load_network)
 
 
-def _read_published(options: argparse.Namespace, path: str, network: str) -> tuple[StereoModel, ConversionReport]:
+def _read_published(options: argparse.Namespace, path: str, network: str) -> tuple[StereoNetwork, ConversionReport]:
     overrides = {} if options.top_k is None else {"top_k": options.top_k}
     return convert_published(path, network, options.channel_order or "bgr", **overrides)
 
@@ -329,8 +329,8 @@ def _list(options: argparse.Namespace) -> None:
 
 def _info(options: argparse.Namespace) -> None:
     saved = os.path.isdir(options.model)
-    model = StereoModel.from_pretrained(options.model) if saved else build_model(options.model)
-    if not isinstance(model, StereoModel):
+    model = StereoNetwork.from_pretrained(options.model) if saved else build_model(options.model)
+    if not isinstance(model, StereoNetwork):
         raise ConfigError(f"model {options.model!r} is not made of slots: it has no table of blocks")
     height, width = options.size
     if min(height, width) < MIN_SIZE:

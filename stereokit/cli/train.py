@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 from stereokit.errors import ConfigError
-from stereokit.model import StereoModel
+from stereokit.network import StereoNetwork
 from stereokit.training.recipe import list_recipes, load_recipe
 
 __all__ = ["add_arguments", "run"]
 
-LoadNetwork = Callable[[argparse.Namespace], StereoModel]
+LoadNetwork = Callable[[argparse.Namespace], StereoNetwork]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,18 +1,16 @@
 """The concatenation cost volume of GC-Net and PSMNet."""
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 
-from stereokit.costs.projection import Projection
-from stereokit.costs.shift import check_features, shifted_stack
+from stereokit.costs.projection import Projected, Projection
+from stereokit.costs.shift import Planes, check_features, seen_from_left
 from stereokit.registry import COSTS
 
 __all__ = ["ConcatenationVolume", "concatenation_volume"]
 
 
-def concatenation_volume(left: Tensor, right: Tensor, levels: int) -> Tensor:
+def concatenation_volume(left: Tensor, right: Tensor, planes: Planes, *, masked: bool = True) -> Tensor:
     """Left features beside the right features that they would match, at every disparity.
 
     ``C(:, d, y, x) = [l(y, x), r(y, x - d)]``, all 0 where x < d.
@@ -20,7 +18,8 @@ def concatenation_volume(left: Tensor, right: Tensor, levels: int) -> Tensor:
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
-        levels: D, the disparities 0 .. D - 1, in pixels of the maps.
+        planes: D, for the disparities 0 .. D - 1, or candidates (B, D, H, W); in pixels of the maps.
+        masked: set the left features to 0 too where there is no right one.
 
     Returns:
         (B, 2C, D, H, W).
@@ -35,11 +34,10 @@ def concatenation_volume(left: Tensor, right: Tensor, levels: int) -> Tensor:
     tensor([[0., 1., 1.],
             [0., 2., 2.]])
     """
-    check_features(left, right, levels)
-    position = torch.arange(left.shape[-1], device=left.device)
-    level = torch.arange(levels, device=left.device)
-    seen = (position >= level[:, None]).to(left.dtype)[:, None]
-    return torch.cat((left.unsqueeze(2) * seen, shifted_stack(right, levels)), dim=1)
+    check_features(left, right, planes)
+    shifted, seen = seen_from_left(right, planes)
+    repeated = left.unsqueeze(2) * seen if masked else left.unsqueeze(2).expand_as(shifted)
+    return torch.cat((repeated, shifted), dim=1)
 
 
 @COSTS.register("concatenation")
@@ -48,25 +46,30 @@ class ConcatenationVolume(nn.Module):
 
     Args:
         in_channels: of the features.
-        levels: of disparity.
+        planes: of disparity.
         projection: widths of the two convolutions before the concatenation, None for none.
+        masked: set the left features to 0 too where there is no right one.
 
-    Shape: two (B, in_channels, H, W) to (B, out_channels, levels, H, W), out_channels being twice the projected ones.
+    Shape: two (B, in_channels, H, W) to (B, out_channels, planes, H, W), out_channels being twice the projected ones.
 
     Source: Kendall et al., ICCV 2017, section 3.2; the projection is that of CoEx's ablation.
 
-    >>> ConcatenationVolume(in_channels=32, levels=48).out_channels
+    >>> ConcatenationVolume(in_channels=32, planes=48).out_channels
     64
     """
 
-    def __init__(self, *, in_channels: int, levels: int, projection: Sequence[int] | None = None) -> None:
+    warps = True
+
+    def __init__(self, *, in_channels: int, planes: int, projection: Projected = None, masked: bool = True) -> None:
         super().__init__()
         self.in_channels = in_channels
-        self.levels = levels
+        self.planes = planes
+        self.masked = masked
         self.projection = Projection(in_channels, projection)
         self.out_channels = 2 * self.projection.out_channels
 
-    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+    def forward(self, left: Tensor, right: Tensor, candidates: Tensor | None = None) -> Tensor:
         """Left and right features to a cost volume."""
         left, right = self.projection(left, right)
-        return concatenation_volume(left, right, self.levels)
+        planes = self.planes if candidates is None else candidates
+        return concatenation_volume(left, right, planes, masked=self.masked)

@@ -1,38 +1,64 @@
 """A learned projection of the matching features before they are compared."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
-from stereokit.layers import ConvNormAct, init_convolutions
+from stereokit.errors import ConfigError
+from stereokit.layers import ConvNormAct, init_convolutions, named_activation
 
-__all__ = ["Projection"]
+__all__ = ["Projected", "Projection"]
+
+Projected: TypeAlias = Sequence[int] | Mapping[str, Any] | None
+"""What costs take: widths, or a mapping of the arguments of `Projection` but the first; None for none."""
 
 
 class Projection(nn.Module):
-    """Convolution 3x3 with norm and LeakyReLU, then 1x1 with bias, on both views alike; or nothing.
+    """Convolutions 3x3 with norm and activation, then 1x1 alone, on both views alike; or nothing.
 
     Args:
         in_channels: of the features.
-        widths: channels after the 3x3 and after the 1x1 convolution; None leaves the features as they are.
+        widths: channels after each 3x3 and after the 1x1 convolution, which is the last; None leaves the features as
+            they are. A mapping holds these arguments by name.
+        activation: "leaky_relu", "relu", ..., see `named_activation`.
+        bias: of the 1x1 convolution.
 
     Shape: two (B, in_channels, H, W) to two (B, out_channels, H, W).
 
+    Raises:
+        ConfigError: no widths, or an unknown activation.
+
     Source: CoEx, section "Matching cost computation".
 
-    >>> Projection(96, (48, 24)).out_channels
-    24
+    >>> Projection(96, (48, 24)).out_channels, Projection(320, {"widths": [12], "bias": False}).out_channels
+    (24, 12)
     """
 
-    def __init__(self, in_channels: int, widths: Sequence[int] | None) -> None:
+    def __init__(
+        self, in_channels: int, widths: Projected, *, activation: str = "leaky_relu", bias: bool = True
+    ) -> None:
         super().__init__()
         self.layers = nn.Sequential()
         self.out_channels = in_channels
-        if widths is not None:
-            hidden, self.out_channels = widths
-            self.layers.append(ConvNormAct(in_channels, hidden))
-            self.layers.append(nn.Conv2d(hidden, self.out_channels, 1))
+        if isinstance(widths, Mapping):
+            given = {"activation": activation, "bias": bias, **widths}
+            unknown = [key for key in given if key not in ("widths", "activation", "bias")]
+            if unknown or "widths" not in given:
+                raise ConfigError(
+                    f"a projection has widths, an activation and a bias; got {', '.join(map(str, widths)) or 'nothing'}"
+                )
+            widths, activation, bias = given["widths"], given["activation"], given["bias"]
+        layers = [] if widths is None else list(widths)
+        if widths is not None and not layers:
+            raise ConfigError("a projection has one width or more; leave it out (None) for no projection")
+        for channels in layers[:-1]:
+            self.layers.append(ConvNormAct(self.out_channels, channels, activation=named_activation(activation)))
+            self.out_channels = channels
+        if layers:
+            self.layers.append(nn.Conv2d(self.out_channels, layers[-1], 1, bias=bias))
+            self.out_channels = layers[-1]
         init_convolutions(self.layers)
 
     def forward(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:

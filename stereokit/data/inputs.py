@@ -10,8 +10,9 @@ from torch import Tensor
 
 from stereokit.data.images import read_image
 from stereokit.errors import InputError
+from stereokit.layers.casting import as_float
 
-__all__ = ["ImageLike", "as_array", "as_float", "to_image_tensor", "to_pair"]
+__all__ = ["ImageLike", "as_array", "to_image_tensor", "to_pair"]
 
 ImageLike: TypeAlias = Union[str, "os.PathLike[str]", npt.NDArray[Any], Tensor, Any]
 """A path, an array (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), a tensor (H, W), (1, H, W), (3, H, W) or
@@ -71,15 +72,6 @@ def to_pair(left: ImageLike, right: ImageLike) -> tuple[Tensor, Tensor]:
     if left.dtype != right.dtype:
         left, right = as_float(left), as_float(right)
     return left, right
-
-
-def as_float(images: Tensor) -> Tensor:
-    """Images in [0, 1], whether they are uint8 or in [0, 1] already.
-
-    >>> as_float(torch.tensor([0, 255], dtype=torch.uint8))
-    tensor([0., 1.])
-    """
-    return images / 255 if images.dtype == torch.uint8 else images
 
 
 def as_array(values: Any) -> npt.NDArray[Any]:

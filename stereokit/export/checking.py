@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.backends.estimate import Backend, Estimate
+from stereokit.contracts import StereoOutput
 from stereokit.errors import ConfigError, InputError
 from stereokit.export.graph import example_size
 from stereokit.export.ties import tied_pixels
-from stereokit.model import StereoOutput
 
 __all__ = ["Difference", "Pair", "check_exact", "check_pairs", "check_size", "compare", "random_pair"]
 

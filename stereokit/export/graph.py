@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 
 from stereokit.errors import ConfigError, InputError
-from stereokit.model import MIN_SIZE, check_least_size
+from stereokit.network import MIN_SIZE, check_least_size
 
 __all__ = ["ExportGraph", "example_size", "naming_block", "trace"]
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from stereokit.backends.optional import import_optional
-from stereokit.data.inputs import as_float
 from stereokit.export.checking import Pair
+from stereokit.layers.casting import as_float
 
 __all__ = ["outside_convolutions", "quantize"]
 

@@ -1,10 +1,13 @@
 """Where the top k of a network's candidates may be these or those."""
 
 import copy
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import torch
 from torch import Tensor, nn
 
+from stereokit.contracts import Guides, Prediction, at_full_size
 from stereokit.model import StereoModel
 from stereokit.regression import TopKSoftArgmin
 
@@ -33,9 +36,10 @@ def tied_pixels(model: nn.Module, left: Tensor, right: Tensor) -> Tensor:
     """
     if not isinstance(model, StereoModel) or not isinstance(model.regression, TopKSoftArgmin):
         return torch.zeros(left.shape[0], *left.shape[-2:], dtype=torch.bool)
-    # the network upsamples the ties as it does the disparity
+    # the network upsamples the ties as it does the disparity; refinements, which are smooth, leave them where they are
     twin = copy.deepcopy(model)
     twin.regression = Tie(model.regression.test_k)
+    twin.refinements = nn.ModuleList([Enlarged()] if len(model.refinements) else [])
     with torch.inference_mode():
         return twin(left, right).disparity > 0
 
@@ -51,11 +55,26 @@ class Tie(nn.Module):
         super().__init__()
         self.k = self.min_levels = k
 
-    def forward(self, logits: Tensor) -> Tensor:
+    def forward(self, logits: Tensor, candidates: Tensor | None = None) -> Tensor:
         """(B, D, H, W) to (B, H, W)."""
         if self.k == logits.shape[1]:
             return torch.zeros_like(logits[:, 0])
         last, next_best = logits.topk(self.k + 1, dim=1).values[:, -2:].unbind(1)
         return (last - next_best <= ROUNDING * logits.abs().amax()).to(logits.dtype)
 
-    confidence = forward
+    def with_confidence(self, logits: Tensor, candidates: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """The same twice."""
+        tie = self(logits)
+        return tie, tie
+
+
+class Enlarged(nn.Module):
+    """In place of refinements: what comes, at full resolution."""
+
+    stride = 1
+    guide_channels: Mapping[int, int] = MappingProxyType({})
+    loss_weight = 0.0
+
+    def forward(self, disparity: Tensor, left: Tensor, right: Tensor, guides: Guides) -> Tensor:
+        """(B, h, w) to (B, H, W)."""
+        return at_full_size(Prediction(disparity, left.shape[-1] // disparity.shape[-1]))

@@ -9,10 +9,11 @@ from typing import Literal, TypeAlias, get_args
 import torch
 from torch import Tensor, nn
 
+from stereokit.contracts import StereoOutput
 from stereokit.errors import ConfigError, InputError
 from stereokit.inference.scaling import Run, match_scaled
 from stereokit.inference.tiles import OVERLAP, match_tiles, tile_grid
-from stereokit.model import MIN_SIZE, StereoOutput
+from stereokit.network import MIN_SIZE
 from stereokit.runtime.memory import (
     MemorySize,
     available_memory,

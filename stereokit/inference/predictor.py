@@ -13,12 +13,13 @@ from torch import Tensor, nn
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.opening import check_backend, open_backend
+from stereokit.contracts import StereoOutput
 from stereokit.data.inputs import ImageLike, to_pair
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inference.bounds import BoundedMatcher, TooLarge
 from stereokit.inference.result import DisparityResult
 from stereokit.inference.scaling import MAX_SCALE, Run, match_scaled, scaled_size
-from stereokit.model import StereoModel, StereoOutput, check_least_size
+from stereokit.network import StereoNetwork, check_least_size
 from stereokit.runtime.device import choose_device
 from stereokit.runtime.memory import MemorySize, available_memory, running_out_as
 from stereokit.weights.places import FILE_BACKENDS, check_no_program, is_exported, is_hub_id
@@ -213,7 +214,7 @@ class Predictor:
         )
 
 
-def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
+def _saved_network(place: str | os.PathLike[str]) -> StereoNetwork:
     if not isinstance(place, str | os.PathLike):
         raise ConfigError(f"a predictor takes a network, or the name or place of one; got {type(place).__name__}")
     name = os.fspath(place)
@@ -230,4 +231,4 @@ def _saved_network(place: str | os.PathLike[str]) -> StereoModel:
             f"unknown network {name!r}; {suggest_weights(name)}; or give the folder of a saved network, or an exported "
             "file"
         )
-    return StereoModel.from_pretrained(name)
+    return StereoNetwork.from_pretrained(name)

@@ -6,9 +6,10 @@ from typing import TypeAlias
 from torch import Tensor
 from torch.nn import functional as F
 
-from stereokit.data.inputs import as_float
+from stereokit.contracts import StereoOutput
 from stereokit.errors import InputError
-from stereokit.model import MIN_SIZE, StereoOutput
+from stereokit.layers.casting import as_float
+from stereokit.network import MIN_SIZE
 
 __all__ = ["Run", "match_scaled", "scaled_size"]
 

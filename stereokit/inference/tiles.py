@@ -5,9 +5,10 @@ from itertools import pairwise, product
 import torch
 from torch import Tensor
 
+from stereokit.contracts import StereoOutput
 from stereokit.errors import InputError
 from stereokit.inference.scaling import Run
-from stereokit.model import MIN_SIZE, StereoOutput
+from stereokit.network import MIN_SIZE
 
 __all__ = ["match_tiles", "tile_grid"]
 

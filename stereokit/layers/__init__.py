@@ -1,14 +1,30 @@
 """Layers that blocks share."""
 
-from stereokit.layers.convolution import ConvNormAct, at_least_float32, crop_to, init_convolutions, leaky_relu, relu
+from stereokit.layers.casting import as_float, at_least_float32
+from stereokit.layers.convolution import (
+    Activation,
+    ConvNormAct,
+    Norm,
+    crop_to,
+    init_convolutions,
+    leaky_relu,
+    named_activation,
+    relu,
+)
 from stereokit.layers.residual import ResidualBlock
+from stereokit.layers.warp import warp
 
 __all__ = [
+    "Activation",
     "ConvNormAct",
+    "Norm",
     "ResidualBlock",
+    "as_float",
     "at_least_float32",
     "crop_to",
     "init_convolutions",
     "leaky_relu",
+    "named_activation",
     "relu",
+    "warp",
 ]

@@ -2,13 +2,28 @@
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from functools import partial
+from typing import Any, Literal
 
 from torch import Tensor, nn
 
-__all__ = ["ConvNormAct", "at_least_float32", "crop_to", "init_convolutions"]
+from stereokit.errors import ConfigError
+
+__all__ = [
+    "Activation",
+    "ConvNormAct",
+    "Norm",
+    "crop_to",
+    "init_convolutions",
+    "leaky_relu",
+    "named_activation",
+    "relu",
+]
 
 Activation = Callable[[], nn.Module]
+
+Norm = Literal["batch", "instance"]
+"""Batch norm; or instance norm without weights, which has no running statistics."""
 
 _CONV: dict[tuple[int, bool], type[nn.Module]] = {
     (2, False): nn.Conv2d,
@@ -16,12 +31,17 @@ _CONV: dict[tuple[int, bool], type[nn.Module]] = {
     (2, True): nn.ConvTranspose2d,
     (3, True): nn.ConvTranspose3d,
 }
-_NORM = {2: nn.BatchNorm2d, 3: nn.BatchNorm3d}
+_NORM: dict[tuple[int, str], Callable[[int], nn.Module]] = {
+    (2, "batch"): nn.BatchNorm2d,
+    (3, "batch"): nn.BatchNorm3d,
+    (2, "instance"): nn.InstanceNorm2d,
+    (3, "instance"): nn.InstanceNorm3d,
+}
 
 
-def leaky_relu() -> nn.Module:
-    """LeakyReLU(0.01), the activation of CoEx."""
-    return nn.LeakyReLU(0.01, inplace=True)
+def leaky_relu(slope: float = 0.01) -> nn.Module:
+    """LeakyReLU; a slope of 0.01 is the activation of CoEx."""
+    return nn.LeakyReLU(slope, inplace=True)
 
 
 def relu() -> nn.Module:
@@ -29,8 +49,31 @@ def relu() -> nn.Module:
     return nn.ReLU(inplace=True)
 
 
+_ACTIVATIONS: dict[str, Activation] = {
+    "relu": relu,
+    "leaky_relu": leaky_relu,
+    "leaky_relu_0.1": partial(leaky_relu, 0.1),
+    "leaky_relu_0.2": partial(leaky_relu, 0.2),
+    "relu6": partial(nn.ReLU6, inplace=True),
+}
+
+
+def named_activation(name: str) -> Activation:
+    """What makes the activation of a name: "relu", "relu6", "leaky_relu" (slope 0.01), "leaky_relu_0.1" or "..._0.2".
+
+    Raises:
+        ConfigError: another name.
+
+    >>> named_activation("leaky_relu_0.2")()
+    LeakyReLU(negative_slope=0.2, inplace=True)
+    """
+    if name not in _ACTIVATIONS:
+        raise ConfigError(f"unknown activation {name!r}; use one of {', '.join(map(repr, _ACTIVATIONS))}")
+    return _ACTIVATIONS[name]
+
+
 class ConvNormAct(nn.Sequential):
-    """A convolution without bias, batch norm, and an activation, initialised by `init_convolutions`.
+    """A convolution, a norm and an activation, initialised by `init_convolutions`.
 
     Args:
         in_channels: of the input.
@@ -41,7 +84,12 @@ class ConvNormAct(nn.Sequential):
         dilation: padding grows with it, so that the size stays.
         transposed: upsample by `stride` instead: kernel 4 with stride 2, or kernel 3 with stride 2, doubles every
             dimension.
+        groups: of channels that are convolved apart.
+        bias: of the convolution; a batch norm makes it superfluous.
+        norm: "batch", "instance" or None for none.
         activation: called to make it; None leaves it out.
+        order: "norm_act", or "act_norm" with the activation ahead of the norm.
+        padding_mode: "zeros", or another one of PyTorch's convolutions.
 
     >>> import torch
     >>> ConvNormAct(3, 8, 3, stride=2)(torch.rand(1, 3, 6, 8)).shape
@@ -60,33 +108,31 @@ class ConvNormAct(nn.Sequential):
         stride: int = 1,
         dilation: int = 1,
         transposed: bool = False,
+        groups: int = 1,
+        bias: bool = False,
+        norm: Norm | None = "batch",
         activation: Activation | None = leaky_relu,
+        order: Literal["norm_act", "act_norm"] = "norm_act",
+        padding_mode: str = "zeros",
     ) -> None:
-        padding = dilation * (kernel_size - 1) // 2
-        extra = {"output_padding": kernel_size % 2} if transposed else {}
+        extra: dict[str, Any] = {"output_padding": kernel_size % 2} if transposed else {}
         conv = _CONV[dims, transposed](
             in_channels,
             out_channels,
             kernel_size,
             stride=stride,
-            padding=padding,
+            padding=dilation * (kernel_size - 1) // 2,
             dilation=dilation,
-            bias=False,
+            groups=groups,
+            bias=bias,
+            padding_mode=padding_mode,
             **extra,
         )
         init_convolutions(conv)
-        layers: list[nn.Module] = [conv, _NORM[dims](out_channels)]
+        after: list[nn.Module] = [] if norm is None else [_NORM[dims, norm](out_channels)]
         if activation is not None:
-            layers.append(activation())
-        super().__init__(*layers)
-
-
-def at_least_float32(x: Tensor) -> Tensor:
-    """Half precision to single; float64 stays. For norms, distributions and disparities.
-
-    Sums of squares overflow in float16, and bfloat16 has steps of half a pixel at 100.
-    """
-    return x.float() if x.dtype.itemsize == 2 else x
+            after.append(activation())
+        super().__init__(conv, *(after if order == "norm_act" else reversed(after)))
 
 
 def crop_to(x: Tensor, like: Tensor) -> Tensor:
@@ -103,7 +149,7 @@ def init_convolutions(module: nn.Module) -> None:
     """Convolution weights from N(0, 2 / (k^n * out_channels)), biases 0: the initialisation of CoEx and PSMNet."""
     for layer in module.modules():
         if isinstance(layer, nn.Conv2d | nn.Conv3d | nn.ConvTranspose2d | nn.ConvTranspose3d):
-            fan_out = math.prod(layer.kernel_size) * layer.out_channels
+            fan_out = math.prod(layer.kernel_size) * layer.out_channels // layer.groups
             nn.init.normal_(layer.weight, std=math.sqrt(2 / fan_out))
             if layer.bias is not None:
                 nn.init.zeros_(layer.bias)

@@ -1,12 +1,21 @@
-"""Training losses over the known pixels."""
+"""Training losses over the known pixels, by name: see `LOSSES`."""
 
-from stereokit.losses.cross_entropy import masked_cross_entropy, truth_of_cells
-from stereokit.losses.smooth_l1 import masked_smooth_l1
-from stereokit.losses.total import stereo_loss
+from stereokit.losses.cross_entropy import CrossEntropy, masked_cross_entropy, truth_of_cells
+from stereokit.losses.l1 import L1, mean_of_cells
+from stereokit.losses.robust import Robust
+from stereokit.losses.smooth_l1 import SmoothL1, masked_smooth_l1
+from stereokit.losses.total import Loss, named_loss, stereo_loss
 
 __all__ = [
+    "L1",
+    "CrossEntropy",
+    "Loss",
+    "Robust",
+    "SmoothL1",
     "masked_cross_entropy",
     "masked_smooth_l1",
+    "mean_of_cells",
+    "named_loss",
     "stereo_loss",
     "truth_of_cells",
 ]

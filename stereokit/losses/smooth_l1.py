@@ -4,10 +4,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from stereokit.contracts import Prediction, at_full_size
 from stereokit.errors import InputError
 from stereokit.metrics import valid_pixels
+from stereokit.registry import LOSSES
 
-__all__ = ["masked_smooth_l1"]
+__all__ = ["SmoothL1", "masked_smooth_l1"]
 
 
 def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float | None = None) -> Tensor:
@@ -39,3 +41,18 @@ def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float |
     target = torch.where(known, truth, disparity.detach())
     distance = F.smooth_l1_loss(disparity, target.to(disparity.dtype), reduction="none")
     return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)
+
+
+@LOSSES.register("smooth_l1")
+class SmoothL1:
+    """`masked_smooth_l1` of a prediction, enlarged to the size of the truth where it is coarse.
+
+    >>> SmoothL1()(Prediction(torch.ones(1, 2, 2)), torch.ones(1, 2, 2), max_disparity=None).item()
+    0.0
+    """
+
+    def __call__(self, prediction: Prediction, truth: Tensor, *, max_disparity: float | None) -> Tensor:
+        """The mean over the known pixels."""
+        height, width = truth.shape[-2:]
+        disparity = at_full_size(prediction)[:, :height, :width]
+        return masked_smooth_l1(disparity, truth, max_disparity=max_disparity)

@@ -93,6 +93,10 @@ def top_k_mass(logits: Tensor, k: int) -> Tensor:
 class SoftArgmin(nn.Module):
     """`soft_argmin` as a module.
 
+    Args:
+        include_end: stretch the candidates, where they are uniform, so that the last one is the end of the range: their
+            step becomes D / (D - 1), as in published weights of StereoNet.
+
     Source: Kendall et al., ICCV 2017, section 3.4.
 
     >>> SoftArgmin()(torch.rand(2, 48, 8, 16)).shape
@@ -101,25 +105,31 @@ class SoftArgmin(nn.Module):
 
     min_levels = 1
 
+    def __init__(self, *, include_end: bool = False) -> None:
+        super().__init__()
+        self.include_end = include_end
+        self.min_levels = 2 if include_end else 1
+
     def forward(self, logits: Tensor, candidates: Tensor | None = None) -> Tensor:
         """(B, D, H, W) to (B, H, W)."""
-        return soft_argmin(logits, candidates)
+        return self._stretched(soft_argmin(logits, candidates), logits, candidates)
 
-    def confidence(self, logits: Tensor) -> Tensor:
-        """Probability mass of the four candidates nearest to the estimate, (B, H, W).
+    def with_confidence(self, logits: Tensor, candidates: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Estimate and probability mass of the four candidates nearest to it, both (B, H, W).
 
         All of the mass is kept by a soft-argmin, so what lies near the estimate is counted in its place: low where the
         distribution has several peaks or is flat. Source: Yao et al., "MVSNet", ECCV 2018, section 4.2.
         """
-        probability = _softmax(logits)
-        return _mass_near(probability, _expectation(probability))
-
-    def with_confidence(self, logits: Tensor) -> tuple[Tensor, Tensor]:
-        """Estimate and confidence, from one softmax."""
         _check_logits(logits)
         probability = _softmax(logits)
-        estimate = _expectation(probability)
-        return estimate, _mass_near(probability, estimate)
+        estimate = _expectation(probability, candidates)
+        # of the last candidate at or below the estimate
+        level = estimate if candidates is None else (_as_volume(candidates) <= estimate.unsqueeze(1)).sum(1) - 1
+        return self._stretched(estimate, logits, candidates), _mass_near(probability, level)
+
+    def _stretched(self, estimate: Tensor, logits: Tensor, candidates: Tensor | None) -> Tensor:
+        levels = logits.shape[1]
+        return estimate * (levels / (levels - 1)) if self.include_end and candidates is None else estimate
 
 
 @REGRESSIONS.register("top_k")
@@ -152,17 +162,13 @@ class TopKSoftArgmin(nn.Module):
         """(B, D, H, W) to (B, H, W)."""
         return top_k_soft_argmin(logits, self.k if self.training else self.test_k, candidates)
 
-    def confidence(self, logits: Tensor) -> Tensor:
-        """`top_k_mass`: the probability mass of the candidates that are kept, (B, H, W)."""
-        return top_k_mass(logits, self.k if self.training else self.test_k)
-
-    def with_confidence(self, logits: Tensor) -> tuple[Tensor, Tensor]:
-        """Estimate and confidence, from one search for the k largest."""
+    def with_confidence(self, logits: Tensor, candidates: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Estimate and `top_k_mass`, both (B, H, W), from one search for the k largest."""
         _check_logits(logits)
         k = self.k if self.training else self.test_k
         _check_k(k, logits.shape[1])
         kept, index = logits.topk(k, dim=1)
-        return _kept_expectation(logits, kept, index), _kept_mass(logits, kept)
+        return _kept_expectation(logits, kept, index, candidates), _kept_mass(logits, kept)
 
     def extra_repr(self) -> str:
         """The numbers of candidates, for printing."""
@@ -182,7 +188,7 @@ def _expectation(probability: Tensor, candidates: Tensor | None = None) -> Tenso
 
 
 def _mass_near(probability: Tensor, estimate: Tensor) -> Tensor:
-    """Probability (B, D, H, W) of the four levels nearest to the estimate (B, H, W)."""
+    """Probability (B, D, H, W) of the four levels nearest to an estimate in levels, (B, H, W)."""
     levels = probability.shape[1]
     nearest = estimate.long().unsqueeze(1) + torch.arange(-1, 3, device=estimate.device).reshape(-1, 1, 1)
     mass = probability.gather(1, nearest.clamp(0, levels - 1))

@@ -8,7 +8,7 @@ from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import WeightAveraging
 from torch import Tensor
 
-from stereokit.model import StereoModel
+from stereokit.network import StereoNetwork
 from stereokit.training.recipe import Averaging
 
 __all__ = ["AveragedWeights"]
@@ -56,11 +56,11 @@ class AveragedWeights(WeightAveraging):
         super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
 
     @property
-    def network(self) -> StereoModel:
+    def network(self) -> StereoNetwork:
         """The network with the average."""
         assert self._average_model is not None
         training = cast(Any, self._average_model.module)
-        return cast(StereoModel, training.model)
+        return cast(StereoNetwork, training.model)
 
     def state_dict(self) -> dict[str, Any]:
         """Adds the number of steps in the average."""

@@ -8,10 +8,11 @@ import torch
 from lightning.pytorch import LightningModule
 from torch import Tensor, nn
 
-from stereokit.errors import StereoKitError
+from stereokit.contracts import StereoOutput
+from stereokit.errors import ConfigError, StereoKitError
 from stereokit.losses import masked_cross_entropy, stereo_loss, truth_of_cells
 from stereokit.metrics import StereoMetrics, valid_pixels
-from stereokit.model import StereoModel, StereoOutput
+from stereokit.network import StereoNetwork
 from stereokit.optimize import prepare_for_training
 from stereokit.runtime.memory import running_out_as
 from stereokit.training.recipe import Recipe
@@ -48,7 +49,7 @@ class StereoTraining(LightningModule):
 
     def __init__(
         self,
-        model: StereoModel,
+        model: StereoNetwork,
         recipe: Recipe,
         *,
         steps: int,
@@ -108,8 +109,7 @@ class StereoTraining(LightningModule):
 
     def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
         """The network."""
-        wanted = {"return_logits": True} if self.recipe.loss.cross_entropy else {}
-        output: StereoOutput = self._network[0](left, right, **wanted)
+        output: StereoOutput = self._network[0](left, right)
         return output
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
@@ -153,18 +153,30 @@ class StereoTraining(LightningModule):
         ceiling = settings.max_disparity
         distance = stereo_loss(output, truth, auxiliary_weights=self.model.auxiliary_weights, max_disparity=ceiling)
         loss = self._shared(distance, truth)
-        if output.logits is not None:
-            stride = self.model.upsampler.scale
-            entropy = masked_cross_entropy(
-                output.logits, truth, stride=stride, first_level=self.model.first_level, max_disparity=ceiling
-            )
-            entropy = self._shared(entropy, truth_of_cells(truth, stride))
+        if settings.cross_entropy:
+            entropy, cells = self._cross_entropy(output, truth)
+            entropy = self._shared(entropy, cells)
             self.log("cross_entropy", entropy)
             loss = loss + settings.cross_entropy * entropy
         self.pairs_seen += len(truth) * self.trainer.world_size
         self.log("loss", loss, prog_bar=True)
         self.log("pairs_seen", float(self.pairs_seen))
         return loss
+
+    def _cross_entropy(self, output: StereoOutput, truth: Tensor) -> tuple[Tensor, Tensor]:
+        """Of the best head, and the ground truth that it goes by.
+
+        Raises:
+            ConfigError: the network predicts without a distribution.
+        """
+        distribution = output.distribution
+        if distribution is None:
+            raise ConfigError(
+                f"cross_entropy is for networks with a distribution over disparity; {type(self.model).__name__} "
+                "has none: set it to 0 in [loss]"
+            )
+        entropy = masked_cross_entropy(distribution, truth, max_disparity=self.recipe.loss.max_disparity)
+        return entropy, truth_of_cells(truth, distribution.stride)
 
     def _shared(self, mean: Tensor, truth: Tensor) -> Tensor:
         """A mean over known pixels, weighted so that its mean over the processes is that over all their pixels."""

@@ -24,7 +24,7 @@ from stereokit.data.datasets.dataset import StereoDataset, StereoSample
 from stereokit.data.datasets.layout import images_in
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.files import atomic_path, make_folder
-from stereokit.model import StereoModel
+from stereokit.network import StereoNetwork
 from stereokit.runtime.memory import running_out_as
 from stereokit.runtime.processor import cpu_has
 from stereokit.runtime.provenance import commit, file_sha256, machine, state_sha256, versions
@@ -55,7 +55,7 @@ class Outcome:
         record: what `training.json` holds.
     """
 
-    model: StereoModel
+    model: StereoNetwork
     network: Path
     record: Mapping[str, Any]
 
@@ -125,7 +125,7 @@ def train(
     data: Sequence[str] = (),
     validation: Sequence[str] = (),
     textures: str | Path | None = None,
-    model: StereoModel | None = None,
+    model: StereoNetwork | None = None,
     weights: str | None = None,
     seed: int = 0,
     minutes: float | None = None,
@@ -221,7 +221,7 @@ def train(
     callbacks: list[Callback] = [] if averaged is None else [averaged]
     callbacks += [_ProgressBar(), checkpoint, SharedBatchStatistics()]
 
-    def save(folder: Path, trained: StereoModel) -> dict[str, Any]:
+    def save(folder: Path, trained: StereoNetwork) -> dict[str, Any]:
         record = {
             **asked,
             "steps": trainer.global_step,
@@ -386,7 +386,7 @@ def _open_known(spec: str) -> StereoDataset:
     return dataset
 
 
-def _check_model(recipe: Recipe, model: StereoModel) -> None:
+def _check_model(recipe: Recipe, model: StereoNetwork) -> None:
     """Sees that a network to go on from is what the recipe says."""
     overrides = dict(recipe.model)
     name = overrides.pop("name")
@@ -405,12 +405,9 @@ def _slots(config: Mapping[str, Any], keys: Sequence[str]) -> str:
     return ", ".join(f"{key} {config[key]!r}" for key in keys)
 
 
-def _new_network(recipe: Recipe) -> StereoModel:
+def _new_network(recipe: Recipe) -> StereoNetwork:
     options = dict(recipe.model)
-    network = build_model(options.pop("name"), **options)
-    if not isinstance(network, StereoModel):
-        raise ConfigError(f"recipe {recipe.name!r}: {recipe.model['name']!r} is not made of slots; train it by hand")
-    return network
+    return build_model(options.pop("name"), **options)
 
 
 def _prepare_folder(out: Path, asked: dict[str, Any], circumstances: Mapping[str, Any], *, resume: bool) -> None:

@@ -14,8 +14,9 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from stereokit.data.augmentation import Augmentation
 from stereokit.data.datasets.dataset import StereoSample
-from stereokit.data.inputs import as_float, to_pair
+from stereokit.data.inputs import to_pair
 from stereokit.errors import InputError
+from stereokit.layers.casting import as_float
 
 __all__ = ["Batch", "ResumableLoader", "TrainingSamples", "to_batch", "worker_processes"]
 

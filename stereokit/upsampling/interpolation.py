@@ -18,32 +18,52 @@ __all__ = [
 ]
 
 
-def bilinear_upsample(disparity: Tensor, scale: int) -> Tensor:
+def bilinear_upsample(disparity: Tensor, scale: int, *, align_corners: bool = False) -> Tensor:
     """Disparity (B, h, w) to (B, h * scale, w * scale); values are not scaled.
+
+    Args:
+        disparity: (B, h, w).
+        scale: a whole number.
+        align_corners: the middles of the corner pixels lie upon each other, as some published networks have it, in
+            place of the corners themselves.
 
     >>> import torch
     >>> bilinear_upsample(torch.full((1, 2, 3), 7.0), 4).unique()
     tensor([7.])
     """
-    return F.interpolate(disparity.unsqueeze(1), scale_factor=scale, mode="bilinear", align_corners=False).squeeze(1)
+    return F.interpolate(
+        disparity.unsqueeze(1), scale_factor=scale, mode="bilinear", align_corners=align_corners
+    ).squeeze(1)
 
 
-def trilinear_upsample(logits: Tensor, scale: int) -> Tensor:
-    """Logits (B, D, h, w) to (B, D * scale, h * scale, w * scale).
+def trilinear_upsample(
+    logits: Tensor, scale: int, *, planes_scale: int | None = None, align_corners: bool = False
+) -> Tensor:
+    """Logits (B, D, h, w) to (B, D * planes_scale, h * scale, w * scale).
+
+    Args:
+        logits: (B, D, h, w).
+        scale: of height and width, a whole number.
+        planes_scale: of the planes; None for the same.
+        align_corners: as in `bilinear_upsample`.
 
     >>> import torch
     >>> trilinear_upsample(torch.rand(1, 6, 2, 3), 4).shape
     torch.Size([1, 24, 8, 12])
     """
-    return F.interpolate(logits.unsqueeze(1), scale_factor=scale, mode="trilinear", align_corners=False).squeeze(1)
+    factors = (float(scale if planes_scale is None else planes_scale), float(scale), float(scale))
+    return F.interpolate(
+        logits.unsqueeze(1), scale_factor=factors, mode="trilinear", align_corners=align_corners
+    ).squeeze(1)
 
 
 class _Interpolation(nn.Module):
     learned = False
 
-    def __init__(self, *, scale: int) -> None:
+    def __init__(self, *, scale: int, align_corners: bool = False) -> None:
         super().__init__()
         self.scale = scale
+        self.align_corners = align_corners
         self.guide_channels: Mapping[int, int] = {}
 
     def extra_repr(self) -> str:
@@ -56,7 +76,8 @@ class BilinearUpsampler(_Interpolation):
     """`bilinear_upsample` of the disparity; the guides are not used.
 
     Args:
-        scale: the stride of the disparity.
+        scale: by which it grows: the stride of the disparity.
+        align_corners: see `bilinear_upsample`.
 
     >>> import torch
     >>> BilinearUpsampler(scale=4)(torch.rand(1, 2, 3), {}).shape
@@ -67,7 +88,7 @@ class BilinearUpsampler(_Interpolation):
 
     def forward(self, x: Tensor, guides: Guides) -> Tensor:
         """(B, h, w) to (B, H, W)."""
-        return bilinear_upsample(x, self.scale)
+        return bilinear_upsample(x, self.scale, align_corners=self.align_corners)
 
 
 @UPSAMPLERS.register("trilinear")
@@ -75,7 +96,9 @@ class TrilinearUpsampler(_Interpolation):
     """`trilinear_upsample` of the logits, before the regression; the guides are not used.
 
     Args:
-        scale: the stride of the logits.
+        scale: by which height and width grow: the stride of the logits.
+        planes_scale: by which the planes grow; None for `scale`.
+        align_corners: as in `bilinear_upsample`.
 
     Source: Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, section 3.4.
 
@@ -86,9 +109,13 @@ class TrilinearUpsampler(_Interpolation):
 
     domain: Literal["volume"] = "volume"
 
+    def __init__(self, *, scale: int, planes_scale: int | None = None, align_corners: bool = False) -> None:
+        super().__init__(scale=scale, align_corners=align_corners)
+        self.planes_scale = scale if planes_scale is None else planes_scale
+
     def forward(self, x: Tensor, guides: Guides) -> Tensor:
-        """(B, D, h, w) to (B, D * scale, H, W)."""
-        return trilinear_upsample(x, self.scale)
+        """(B, D, h, w) to (B, D * planes_scale, H, W)."""
+        return trilinear_upsample(x, self.scale, planes_scale=self.planes_scale, align_corners=self.align_corners)
 
 
 @UPSAMPLERS.register("none")

@@ -111,8 +111,9 @@ class SuperpixelUpsampler(nn.Module):
     of the finer strides on its way.
 
     Args:
-        scale: the stride of the disparity, a power of two from 2 up.
-        guide_channels: of the guides at hand, by stride; the one at `scale` is needed, finer ones are used.
+        scale: by which the disparity grows, a power of two from 2 up.
+        guide_channels: of the guides at hand, by stride; the one at the disparity's is needed, finer ones are used.
+        stride: of the disparity; None for `scale`, which ends at full resolution.
         padding: outside the coarse map, see `superpixel_upsample`.
 
     Shape: disparity (B, h, w) and guides by stride to (B, h * scale, w * scale), values not scaled.
@@ -131,22 +132,31 @@ class SuperpixelUpsampler(nn.Module):
     domain: Literal["disparity"] = "disparity"
     learned = True
 
-    def __init__(self, *, scale: int, guide_channels: Mapping[int, int], padding: Padding = "replicate") -> None:
+    def __init__(
+        self,
+        *,
+        scale: int,
+        guide_channels: Mapping[int, int],
+        stride: int | None = None,
+        padding: Padding = "replicate",
+    ) -> None:
         super().__init__()
         if padding not in get_args(Padding):
             raise ConfigError(f"padding={padding!r} is unknown; use 'replicate' or 'zeros'")
         if scale < 2 or scale & (scale - 1):
-            raise ConfigError(f"superpixel upsampling starts at stride 2, 4, 8, ..; the disparity has stride {scale}")
-        if scale not in guide_channels:
+            raise ConfigError(f"superpixel upsampling is by 2, 4, 8, ...; the disparity is to grow by {scale}")
+        stride = scale if stride is None else stride
+        if stride not in guide_channels:
             raise ConfigError(
-                f"superpixel upsampling from stride {scale} wants a guide of that stride; there are guides at "
+                f"superpixel upsampling from stride {stride} wants a guide of that stride; there are guides at "
                 f"{', '.join(map(str, guide_channels)) or 'none'}"
             )
         self.scale = scale
+        self.stride = stride
         self.padding: Padding = padding
-        self.strides = [scale >> i for i in range(1, scale.bit_length() - 1)]
-        self.guide_channels = {s: guide_channels[s] for s in (scale, *self.strides) if s in guide_channels}
-        self.stem = nn.Sequential(ConvNormAct(guide_channels[scale], 24), ConvNormAct(24, 24, activation=relu))
+        self.strides = [stride >> i for i in range(1, scale.bit_length() - 1)]
+        self.guide_channels = {s: guide_channels[s] for s in (stride, *self.strides) if s in guide_channels}
+        self.stem = nn.Sequential(ConvNormAct(guide_channels[stride], 24), ConvNormAct(24, 24, activation=relu))
         self.up = nn.ModuleList()
         self.merge = nn.ModuleList()
         channels = 24
@@ -159,7 +169,7 @@ class SuperpixelUpsampler(nn.Module):
 
     def weights(self, guides: Guides) -> Tensor:
         """Superpixel weights (B, 9, H, W), which sum to 1."""
-        x = self.stem(guides[self.scale])
+        x = self.stem(guides[self.stride])
         for stride, up, merge in zip(self.strides, self.up, self.merge, strict=True):
             x = up(x)
             if stride in self.guide_channels:

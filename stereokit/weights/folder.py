@@ -14,13 +14,13 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from stereokit._version import __version__
-from stereokit.config import ModelConfig, rebuild
+from stereokit.config import NetworkConfig, rebuild
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.files import atomic_path, make_folder
 from stereokit.weights.places import is_hub_id
 
 if TYPE_CHECKING:
-    from stereokit.model import StereoModel
+    from stereokit.network import StereoNetwork
 
 __all__ = [
     "CONFIG_NAME",
@@ -36,14 +36,14 @@ CONFIG_NAME = "config.json"
 WEIGHTS_NAME = "model.safetensors"
 
 
-def saved_config(model: "StereoModel") -> ModelConfig:
+def saved_config(model: "StereoNetwork") -> NetworkConfig:
     """The configuration of a network, if it rebuilds the network.
 
     Raises:
         ConfigError: a block of the network was passed in as a module, so that its configuration can't rebuild it.
     """
     config = model.config
-    foreign = [slot for slot, choice in config.items() if isinstance(choice, dict) and "instance" in choice]
+    foreign = [slot for slot, choice in config.items() if _holds_module(choice)]
     if foreign:
         raise ConfigError(
             f"the {' and '.join(foreign)} of this network was passed in as a module, which a configuration can't "
@@ -52,7 +52,14 @@ def saved_config(model: "StereoModel") -> ModelConfig:
     return config
 
 
-def save_folder(model: "StereoModel", folder: Path) -> None:
+def _holds_module(choice: Any) -> bool:
+    """Whether a part of a configuration stands for a module that was passed in."""
+    if isinstance(choice, list):
+        return any(map(_holds_module, choice))
+    return isinstance(choice, dict) and ("instance" in choice or any(map(_holds_module, choice.values())))
+
+
+def save_folder(model: "StereoNetwork", folder: Path) -> None:
     """Writes the configuration and the weights of a network; each file appears whole or not at all.
 
     Args:
@@ -69,13 +76,13 @@ def save_folder(model: "StereoModel", folder: Path) -> None:
     write_config(config, folder, overwrite=True)
 
 
-def write_config(config: ModelConfig, folder: Path, *, overwrite: bool) -> None:
+def write_config(config: NetworkConfig, folder: Path, *, overwrite: bool) -> None:
     """Writes the configuration of a network, beside whose weights it makes a folder a saved network."""
     with atomic_path(folder / CONFIG_NAME, overwrite=overwrite) as temporary:
         temporary.write_text(json.dumps({"stereokit": __version__, "network": config}, indent=2) + "\n")
 
 
-def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoModel":
+def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoNetwork":
     """Builds the network that a configuration describes and loads its weights, in eval mode.
 
     Args:
@@ -97,7 +104,7 @@ def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoModel":
         state = load_file(path)
     except (OSError, SafetensorError) as error:
         raise CheckpointError(f"the weights {path!r} can't be read: {error}") from error
-    model: StereoModel = rebuild(config["network"])
+    model: StereoNetwork = rebuild(config["network"])
     load_state(model, state, path)
     return model.eval()
 

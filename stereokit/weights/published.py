@@ -15,15 +15,14 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import torch
 from torch import Tensor
 
-from stereokit.config import rebuild
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD, rebuild
 from stereokit.errors import CheckpointError, ConfigError
-from stereokit.models.preprocessing import IMAGENET_MEAN, IMAGENET_STD
 from stereokit.registry import suggest
 from stereokit.weights.folder import load_state
 from stereokit.weights.places import check_no_program
 
 if TYPE_CHECKING:
-    from stereokit.model import StereoModel
+    from stereokit.network import StereoNetwork
 
 __all__ = ["ChannelOrder", "ConversionReport", "convert_published", "load_published"]
 
@@ -175,7 +174,7 @@ class ConversionReport:
 
 def load_published(
     path: str | os.PathLike[str], network: str = "coex", channel_order: ChannelOrder = "bgr", **overrides: Any
-) -> "StereoModel":
+) -> "StereoNetwork":
     """Loads a published checkpoint into a network of this library, in eval mode.
 
     Args:
@@ -199,7 +198,7 @@ def load_published(
 
 def convert_published(
     path: str | os.PathLike[str], network: str = "coex", channel_order: ChannelOrder = "bgr", **overrides: Any
-) -> tuple["StereoModel", ConversionReport]:
+) -> tuple["StereoNetwork", ConversionReport]:
     """`load_published`, with a report of what became of the keys."""
     if network not in NETWORKS:
         raise ConfigError(f"no published format is known for network {network!r}; {suggest(network, list(NETWORKS))}")
@@ -221,7 +220,7 @@ def convert_published(
     if channel_order == "bgr":
         # the published code normalised BGR images with the RGB numbers: blue with the mean and std of red
         preprocessing = {key: value[::-1] for key, value in preprocessing.items()}
-    model: StereoModel = rebuild({"name": network}, **{**variant, **preprocessing, **overrides})
+    model: StereoNetwork = rebuild({"name": network}, **{**variant, **preprocessing, **overrides})
     used = {key: value for key, value in state.items() if not re.match(published.unused, key)}
     ours = {_rename(key, published.rules): value for key, value in used.items()}
     if channel_order == "bgr":

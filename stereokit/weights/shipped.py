@@ -16,7 +16,7 @@ from stereokit.runtime.provenance import file_sha256
 from stereokit.weights.folder import WEIGHTS_NAME, load_state
 
 if TYPE_CHECKING:
-    from stereokit.model import StereoModel
+    from stereokit.network import StereoNetwork
 
 __all__ = [
     "DEFAULTS",
@@ -46,7 +46,7 @@ class Manifest(TypedDict):
     """Of the file of weights, as `sha256sum` gives it."""
     licence: str
     network: dict[str, Any]
-    """The whole `ModelConfig`, which holds the preprocessing too: mean, std, padding."""
+    """The whole `NetworkConfig`, which holds the preprocessing too: mean, std, padding."""
     images: str
     """What the network takes."""
     precision: str
@@ -158,7 +158,7 @@ def read_manifest(name: str | Path) -> Manifest:
     return cast(Manifest, manifest)
 
 
-def load_weights(name: str | Path, **overrides: Any) -> "StereoModel":
+def load_weights(name: str | Path, **overrides: Any) -> "StereoNetwork":
     """The network that these weights are of, with them, in eval mode.
 
     Args:
@@ -184,7 +184,7 @@ def load_weights(name: str | Path, **overrides: Any) -> "StereoModel":
             f"the weights {str(path)!r} are damaged: their SHA-256 is {digest}, not {manifest['sha256']} as in the "
             "manifest; get them again, with the package if they came with it"
         )
-    model: StereoModel = rebuild(manifest["network"], **overrides)
+    model: StereoNetwork = rebuild(manifest["network"], **overrides)
     differing = [key for key, value in model.config.items() if manifest["network"].get(key) != value]
     try:
         load_state(model, state, manifest["name"])

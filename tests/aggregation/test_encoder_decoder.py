@@ -91,4 +91,4 @@ def test_full_guidance_wants_every_scale():
 def test_what_it_tells_the_network():
     aggregation = EncoderDecoder(in_channels=5)
     assert (aggregation.in_channels, aggregation.multiple, aggregation.upscale) == (5, 16, 2)
-    assert aggregation.auxiliary_weights == ()
+    assert aggregation.loss_weights == (1,)

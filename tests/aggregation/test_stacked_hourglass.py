@@ -168,4 +168,4 @@ def test_full_guidance_wants_every_scale():
 def test_what_it_tells_the_network():
     aggregation = StackedHourglass(in_channels=5)
     assert (aggregation.in_channels, aggregation.multiple, aggregation.upscale) == (5, 4, 1)
-    assert aggregation.auxiliary_weights == (0.5, 0.7)
+    assert aggregation.loss_weights == (0.5, 0.7, 1)

@@ -39,19 +39,19 @@ def test_features_are_what_the_info_says():
     backbone = ResidualTower(channels=6, blocks=2).eval()
     features = backbone(torch.rand(2, 3, 10, 14))
     assert backbone.multiple == 2
-    assert backbone.info.matching_channels == 6
-    assert backbone.info.matching_stride == 2
+    assert backbone.info.matching_channels[2] == 6
+    assert backbone.info.finest == 2
     assert backbone.info.guide_channels == {2: 6}
-    assert features.matching.shape == (2, 6, 5, 7)
-    assert features.guides[2] is features.matching
+    assert features.matching[2].shape == (2, 6, 5, 7)
+    assert features.guides[2] is features.matching[2]
 
 
 def test_the_published_depth():
     backbone = ResidualTower()
     assert len(backbone.blocks) == 8
-    assert backbone.info.matching_channels == 32
+    assert backbone.info.matching_channels[2] == 32
 
 
 def test_the_last_convolution_is_plain():
-    features = ResidualTower(blocks=1)(torch.rand(2, 3, 16, 16)).matching
+    features = ResidualTower(blocks=1)(torch.rand(2, 3, 16, 16)).matching[2]
     assert (features < 0).any()

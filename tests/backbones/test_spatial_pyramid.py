@@ -13,12 +13,12 @@ def test_features_are_what_the_info_says(height, width):
     info = backbone.info
     with torch.no_grad():
         features = backbone(torch.rand(1, 3, height, width))
-    assert (info.matching_channels, info.matching_stride, backbone.multiple) == (32, 4, 4)
-    assert features.matching.shape == (1, 32, height // 4, width // 4)
+    assert (info.matching_channels, backbone.multiple) == ({4: 32}, 4)
+    assert features.matching[4].shape == (1, 32, height // 4, width // 4)
     assert {s: tuple(g.shape) for s, g in features.guides.items()} == {
         s: (1, c, height // s, width // s) for s, c in info.guide_channels.items()
     }
-    assert features.guides[4] is features.matching
+    assert features.guides[4] is features.matching[4]
 
 
 def pooled(x, pool):
@@ -60,6 +60,6 @@ def test_the_published_depth():
 
 def test_every_weight_takes_part():
     backbone = SpatialPyramid(channels=8)
-    backbone(torch.rand(2, 3, 32, 64)).matching.square().sum().backward()
+    backbone(torch.rand(2, 3, 32, 64)).matching[4].square().sum().backward()
     assert [name for name, p in backbone.named_parameters() if p.grad is None] == []
     assert backbone.info.guide_channels == {2: 32, 4: 8}

@@ -44,13 +44,13 @@ def test_what_is_no_pair_is_refused():
 
 def test_the_module_is_its_function():
     left, right = torch.randn(2, 2, 4, 2, 7)
-    module = ConcatenationVolume(in_channels=4, levels=3)
+    module = ConcatenationVolume(in_channels=4, planes=3)
     assert module.out_channels == 8
     assert_close(module(left, right), concatenation_volume(left, right, 3))
 
 
 def test_the_module_compares_projected_features():
     left, right = torch.randn(2, 2, 4, 2, 7)
-    module = ConcatenationVolume(in_channels=4, levels=3, projection=(6, 5)).eval()
+    module = ConcatenationVolume(in_channels=4, planes=3, projection=(6, 5)).eval()
     assert module.out_channels == 10
     assert_close(module(left, right), concatenation_volume(*module.projection(left, right), 3))

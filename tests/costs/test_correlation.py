@@ -144,7 +144,7 @@ def test_groups_that_do_not_divide_are_refused(groups):
     with pytest.raises(InputError, match=f"{groups} groups do not divide 4 channels"):
         groupwise_correlation_volume(features, features, 2, groups)
     with pytest.raises(ConfigError, match=rf"groups={groups} does not divide the 4 .*use \[1, 2, 4\]"):
-        GroupwiseCorrelationVolume(in_channels=4, levels=2, groups=groups)
+        GroupwiseCorrelationVolume(in_channels=4, planes=2, groups=groups)
 
 
 def test_gradients_are_right():
@@ -159,13 +159,13 @@ def test_gradients_are_right():
 @pytest.mark.parametrize(
     ("module", "function"),
     [
-        (CorrelationVolume(in_channels=4, levels=3), lambda a, b: correlation_volume(a, b, 3)),
+        (CorrelationVolume(in_channels=4, planes=3), lambda a, b: correlation_volume(a, b, 3)),
         (
-            GroupwiseCorrelationVolume(in_channels=4, levels=3, groups=2),
+            GroupwiseCorrelationVolume(in_channels=4, planes=3, groups=2),
             lambda a, b: groupwise_correlation_volume(a, b, 3, 2),
         ),
         (
-            GroupwiseCorrelationVolume(in_channels=4, levels=3, groups=2, normalise=True),
+            GroupwiseCorrelationVolume(in_channels=4, planes=3, groups=2, normalise=True),
             lambda a, b: groupwise_correlation_volume(a, b, 3, 2, normalise=True),
         ),
     ],
@@ -174,15 +174,15 @@ def test_modules_are_their_functions(module, function):
     left, right = torch.randn(2, 2, 4, 2, 7)
     volume = module(left, right)
     assert_close(volume, function(left, right))
-    assert volume.shape[1:3] == (module.out_channels, module.levels)
+    assert volume.shape[1:3] == (module.out_channels, module.planes)
     assert not list(module.parameters())
 
 
 @pytest.mark.parametrize(
     "module",
     [
-        CorrelationVolume(in_channels=4, levels=3, projection=(6, 5)),
-        GroupwiseCorrelationVolume(in_channels=4, levels=3, groups=5, projection=(6, 5)),
+        CorrelationVolume(in_channels=4, planes=3, projection=(6, 5)),
+        GroupwiseCorrelationVolume(in_channels=4, planes=3, groups=5, projection=(6, 5)),
     ],
 )
 def test_modules_compare_projected_features(module):
@@ -190,5 +190,5 @@ def test_modules_compare_projected_features(module):
     module.eval()
     a, b = module.projection(left, right)
     assert a.shape == b.shape == (2, 5, 2, 7)
-    raw = type(module)(in_channels=5, levels=3, **({"groups": 5} if module.out_channels == 5 else {}))
+    raw = type(module)(in_channels=5, planes=3, **({"groups": 5} if module.out_channels == 5 else {}))
     assert_close(module(left, right), raw(a, b))

@@ -35,7 +35,7 @@ def test_shifted_stack_equals_the_loop(pair):
     [
         ((1, 2, 3, 4), (1, 2, 3, 5), 2, ["(1, 2, 3, 4)", "(1, 2, 3, 5)"]),
         ((2, 3, 4), (2, 3, 4), 2, ["(2, 3, 4)", "(B, C, H, W)"]),
-        ((1, 2, 3, 4), (1, 2, 3, 4), 0, ["levels=0", "at least 1"]),
+        ((1, 2, 3, 4), (1, 2, 3, 4), 0, ["planes=0", "at least 1"]),
     ],
 )
 def test_what_is_no_pair_is_refused(left, right, levels, words):

@@ -8,9 +8,11 @@ from hypothesis.extra import numpy as hnp
 from torch.testing import assert_close
 
 from stereokit import InputError, StereoOutput, build_model
+from stereokit.contracts import Distribution, Features, Prediction
 from stereokit.losses import masked_cross_entropy, masked_smooth_l1, stereo_loss, truth_of_cells
 from stereokit.metrics import valid_pixels
 from stereokit.regression.soft_argmin import top_k_soft_argmin
+from stereokit.stage import run_stage
 from tests.strategies import disparities
 
 UNKNOWN = [0.0, -3.0, math.nan, math.inf, -math.inf]
@@ -82,15 +84,15 @@ def test_shapes_that_differ_are_refused():
 @given(st.lists(st.tuples(st.floats(0, 5), estimates), max_size=3), estimates, truths)
 def test_outputs_are_averaged_by_their_weights(auxiliary, disparity, truth):
     weights = tuple(weight for weight, _ in auxiliary)
-    output = StereoOutput(disparity, auxiliary=tuple(d for _, d in auxiliary))
+    output = StereoOutput(disparity, tuple(Prediction(d) for d in (*(d for _, d in auxiliary), disparity)))
     loss = stereo_loss(output, truth, auxiliary_weights=weights, max_disparity=40)
     expected = loop(disparity, truth, 40) + sum(w * loop(d, truth, 40) for w, d in auxiliary)
     assert loss.item() == pytest.approx(expected / (1 + sum(weights)))
 
 
 def test_weights_that_do_not_match_the_outputs_are_refused():
-    output = StereoOutput(torch.rand(1, 2, 2), auxiliary=(torch.rand(1, 2, 2),))
-    with pytest.raises(InputError, match="2 auxiliary weights for 1 auxiliary disparities"):
+    output = StereoOutput(torch.rand(1, 2, 2), (Prediction(torch.rand(1, 2, 2)),) * 2)
+    with pytest.raises(InputError, match="2 auxiliary weights for 1 auxiliary predictions"):
         stereo_loss(output, torch.rand(1, 2, 2), auxiliary_weights=(0.5, 0.7))
 
 
@@ -112,6 +114,10 @@ logits_and_truth = st.tuples(st.integers(1, 2), st.integers(1, 6), st.integers(1
 )
 
 
+def uniform(logits, first=0.0):
+    return Distribution(logits, stride=STRIDE, spacing=STRIDE, first=first)
+
+
 def cross_entropy_loop(logits, truth, first_level, max_disparity):
     entropies = []
     batch, levels, height, width = logits.shape
@@ -131,16 +137,28 @@ def cross_entropy_loop(logits, truth, first_level, max_disparity):
 @given(logits_and_truth, st.sampled_from([0.0, 1.5]), st.sampled_from([None, 20.0]))
 def test_the_cross_entropy_equals_the_loop(given, first_level, max_disparity):
     logits, truth = given
-    options = {"first_level": first_level, "max_disparity": max_disparity}
-    loss = masked_cross_entropy(logits, truth, stride=STRIDE, **options)
-    assert loss.item() == pytest.approx(cross_entropy_loop(logits, truth, **options), rel=1e-9, abs=1e-12)
+    loss = masked_cross_entropy(uniform(logits, first_level), truth, max_disparity=max_disparity)
+    expected = cross_entropy_loop(logits, truth, first_level, max_disparity)
+    assert loss.item() == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@given(logits_and_truth, st.sampled_from([0.0, 1.5]), st.booleans())
+def test_planes_that_are_listed_are_as_good_as_uniform_ones(given, first, of_each_pixel):
+    logits, truth = given
+    values = first + STRIDE * torch.arange(logits.shape[1], dtype=torch.float64)
+    if of_each_pixel:
+        values = values.reshape(1, -1, 1, 1).expand_as(logits)
+    listed = masked_cross_entropy(uniform(logits)._replace(values=values), truth)
+    assert listed.item() == pytest.approx(
+        masked_cross_entropy(uniform(logits, first), truth).item(), rel=1e-9, abs=1e-9
+    )
 
 
 @given(logits_and_truth)
 def test_the_gradient_of_the_cross_entropy_reaches_all_levels_of_the_known_cells_alone(given):
     logits, truth = given
     logits.requires_grad_()
-    masked_cross_entropy(logits, truth, stride=STRIDE).backward()
+    masked_cross_entropy(uniform(logits), truth).backward()
     known = valid_pixels(truth_of_cells(truth, STRIDE)).unsqueeze(1).expand_as(logits)
     assert (logits.grad[~known] == 0).all()
     # what a cell's mass is to move by, and so nothing in all
@@ -156,15 +174,15 @@ def test_where_the_cross_entropy_is_least_the_regressions_give_the_truth(dispari
     mass = torch.zeros(1, 8, 1, 1, dtype=torch.float64)
     mass[0, lower], mass[0, lower + 1] = 1 - share, share
     truth = torch.full((1, STRIDE, STRIDE), disparity, dtype=torch.float64)
-    least = masked_cross_entropy(mass.log(), truth, stride=STRIDE)
+    least = masked_cross_entropy(uniform(mass.log()), truth)
     assert least.item() == pytest.approx(-sum(p * math.log(p) for p in (share, 1 - share) if p > 0), abs=1e-6)
-    assert least <= masked_cross_entropy(mass.log() + torch.rand_like(mass), truth, stride=STRIDE) + 1e-9
+    assert least <= masked_cross_entropy(uniform(mass.log() + torch.rand_like(mass)), truth) + 1e-9
     assert STRIDE * top_k_soft_argmin(mass.log(), k).item() == pytest.approx(disparity, abs=1e-6)
 
 
 def test_no_known_cell_is_no_cross_entropy():
     logits = torch.rand(2, 5, 3, 4, requires_grad=True)
-    loss = masked_cross_entropy(logits, torch.full((2, 12, 16), math.nan), stride=4)
+    loss = masked_cross_entropy(uniform(logits), torch.full((2, 12, 16), math.nan))
     loss.backward()
     assert loss.item() == 0
     assert (logits.grad == 0).all()
@@ -176,12 +194,12 @@ def test_cells_beyond_the_images_do_not_count(height, width):
     cells = truth_of_cells(truth, 4)
     other = logits.clone()
     other[:, :, cells.shape[1] :], other[:, :, :, cells.shape[2] :] = 9, -9
-    assert masked_cross_entropy(logits, truth, stride=4) == masked_cross_entropy(other, truth, stride=4)
+    assert masked_cross_entropy(uniform(logits), truth) == masked_cross_entropy(uniform(other), truth)
 
 
 def test_logits_that_do_not_cover_the_truth_are_refused():
     with pytest.raises(InputError, match=r"\(1, 32, 64\) at stride 4 wants logits of at least \(1, L, 8, 16\)"):
-        masked_cross_entropy(torch.rand(1, 48, 8, 15), torch.rand(1, 32, 64), stride=4)
+        masked_cross_entropy(uniform(torch.rand(1, 48, 8, 15)), torch.rand(1, 32, 64))
 
 
 @pytest.mark.parametrize("name", ["coex", "psmnet"])
@@ -189,6 +207,14 @@ def test_a_network_that_is_sure_of_a_level_estimates_its_disparity(name):
     model = build_model(name, max_disparity=64).eval()
     logits = torch.full((1, 64 // 4, 3, 3), -200.0)
     logits[:, 5] = 200
-    distribution = model.upsampler(logits, {}) if model.upsampler.domain == "volume" else logits
-    level = model.regression(distribution) * model.pixels_per_level
-    assert_close(level, torch.full_like(level, model.first_level + 5 * model.upsampler.scale), rtol=0, atol=1e-3)
+    # the last stage alone, with an aggregation that is sure
+    model.aggregation.forward = lambda volume, guides: (logits,)
+    maps = Features({4: torch.rand(1, model.backbone.info.matching_channels[4], 3, 3)}, {})
+    guides = {s: torch.rand(1, c, 12 // s, 12 // s) for s, c in model.upsampler.guide_channels.items()}
+    [prediction], _ = run_stage(model, maps, maps, guides, None, training=False)
+    distribution = prediction.distribution
+    expected = distribution.first + 5 * distribution.spacing
+    middle = prediction.disparity[:, 5:7, 5:7]
+    assert_close(middle, torch.full_like(middle, expected), rtol=0, atol=1e-3)
+    truth = torch.full((1, 12, 12), expected)
+    assert masked_cross_entropy(distribution, truth).item() == pytest.approx(0, abs=1e-6)

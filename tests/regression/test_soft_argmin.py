@@ -128,8 +128,8 @@ def test_half_precision_gives_single(dtype, k):
     result = module(volume)
     assert result.dtype == torch.float32
     assert result.item() == pytest.approx(151.5 if k > 1 else 151, abs=1e-3)
-    assert module.confidence(volume).dtype == torch.float32
-    assert SoftArgmin()(volume).dtype == SoftArgmin().confidence(volume).dtype == torch.float32
+    assert module.with_confidence(volume)[1].dtype == torch.float32
+    assert SoftArgmin()(volume).dtype == SoftArgmin().with_confidence(volume)[1].dtype == torch.float32
 
 
 @pytest.mark.parametrize("function", [soft_argmin, lambda x: top_k_soft_argmin(x, 2), lambda x: top_k_mass(x, 2)])
@@ -155,7 +155,7 @@ def test_confidence_of_soft_argmin_is_the_mass_near_the_estimate(volume):
         below = int(estimate[b, y, x])
         nearest = range(max(0, below - 1), min(levels, below + 3))
         expected[b, y, x] = sum(probability[b, d, y, x] for d in nearest)
-    confidence = SoftArgmin().confidence(volume)
+    confidence = SoftArgmin().with_confidence(volume)[1]
     assert_close(confidence, expected)
     assert (confidence <= 1).all()
 
@@ -164,7 +164,7 @@ def test_confidence_is_low_between_two_peaks():
     volume = torch.full((1, 20, 1, 2), -50.0)
     volume[0, [2, 17], 0, 0] = 50
     volume[0, 9, 0, 1] = 50
-    two, one = SoftArgmin().confidence(volume)[0, 0]
+    two, one = SoftArgmin().with_confidence(volume)[1][0, 0]
     assert two < 1e-3
     assert one > 0.999
 
@@ -173,10 +173,10 @@ def test_test_k_counts_in_eval_mode():
     volume = torch.randn(1, 9, 2, 2)
     module = TopKSoftArgmin(5, test_k=2)
     assert_close(module(volume), top_k_soft_argmin(volume, 5))
-    assert_close(module.confidence(volume), top_k_mass(volume, 5))
+    assert_close(module.with_confidence(volume)[1], top_k_mass(volume, 5))
     module.eval()
     assert_close(module(volume), top_k_soft_argmin(volume, 2))
-    assert_close(module.confidence(volume), top_k_mass(volume, 2))
+    assert_close(module.with_confidence(volume)[1], top_k_mass(volume, 2))
     assert module.min_levels == 5
     assert TopKSoftArgmin(2, test_k=5).min_levels == 5
     assert TopKSoftArgmin(3).test_k == 3

@@ -157,7 +157,7 @@ def test_weights_are_never_in_half_precision():
 
 @pytest.mark.parametrize("scale", [0, 1, 3, 6])
 def test_the_stride_is_a_power_of_two(scale):
-    with pytest.raises(ConfigError, match=rf"2, 4, 8, \.\.; the disparity has stride {scale}"):
+    with pytest.raises(ConfigError, match=rf"2, 4, 8, \.\.\.; the disparity is to grow by {scale}"):
         SuperpixelUpsampler(scale=scale, guide_channels={scale: 8})
 
 

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from stereokit import CheckpointError, ConfigError, build_model, load_published
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
 from stereokit.model import StereoModel
-from stereokit.models.preprocessing import IMAGENET_MEAN, IMAGENET_STD
 from stereokit.weights.published import convert_published
 from tests.golden import GOLDEN, published_state, recording, save_checkpoint
 from tests.shared import needs_shared

@@ -1,0 +1,196 @@
+"""One stage of a network: candidates to predictions, once."""
+
+from typing import NamedTuple, Protocol
+
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stereokit.contracts import (
+    Aggregation,
+    Cost,
+    Distribution,
+    Features,
+    Guides,
+    Prediction,
+    Regression,
+    Sampler,
+    Upsampler,
+    at_full_size,
+)
+
+__all__ = ["Stage", "StageBlocks", "StageOutput", "planes_scale", "resample", "run_stage", "stage_loss_weights"]
+
+
+class StageBlocks(Protocol):
+    """The blocks that make up a stage: of a `Stage`, or of a network itself."""
+
+    stride: int
+    candidates: Sampler
+    cost: Cost
+    aggregation: Aggregation
+    regression: Regression
+    upsampler: Upsampler
+
+
+class StageOutput(NamedTuple):
+    """What a stage gives."""
+
+    predictions: tuple[Prediction, ...]
+    """The supervised ones, the best one last; in eval mode that alone."""
+    confidence: Tensor | None
+    """(B, H, W), at full resolution. None where it was not asked for, and in training mode."""
+
+
+class Stage(nn.Module):
+    """A stage ahead of the last one, see `run_stage`.
+
+    Args:
+        candidates, cost, aggregation, regression, upsampler: see `stereokit.contracts`.
+        stride: of the maps that are compared.
+        loss_weight: of all of the stage's predictions.
+    """
+
+    def __init__(
+        self,
+        *,
+        candidates: Sampler,
+        cost: Cost,
+        aggregation: Aggregation,
+        regression: Regression,
+        upsampler: Upsampler,
+        stride: int,
+        loss_weight: float = 1.0,
+    ) -> None:
+        super().__init__()
+        self.candidates = candidates
+        self.cost = cost
+        self.aggregation = aggregation
+        self.regression = regression
+        self.upsampler = upsampler
+        self.stride = stride
+        self.loss_weight = loss_weight
+
+    def forward(self, left: Features, right: Features, guides: Guides, before: Prediction | None) -> StageOutput:
+        """Features of both views, and what the stage before predicted, to predictions."""
+        return run_stage(self, left, right, guides, before, training=self.training)
+
+
+def run_stage(
+    blocks: StageBlocks,
+    left: Features,
+    right: Features,
+    guides: Guides,
+    before: Prediction | None,
+    *,
+    training: bool,
+    confidence: bool = False,
+) -> StageOutput:
+    """Candidates, cost volume, aggregation, and the regression before or after the upsampling.
+
+    Args:
+        blocks: of the stage.
+        left: features.
+        right: likewise.
+        guides: of the left image.
+        before: what the stage before predicted; None in the first one.
+        training: give all predictions, in place of the best one alone.
+        confidence: give that of the best one; not in training.
+    """
+    stride, upsampler = blocks.stride, blocks.upsampler
+    maps = left.matching[stride], right.matching[stride]
+    candidates = blocks.candidates(left, right, before).values
+    if candidates is None:
+        volume = blocks.cost(*maps)
+    else:
+        size = (blocks.cost.planes, *maps[0].shape[-2:])
+        volume = blocks.cost(*maps, resample(candidates, size, batch=len(maps[0])) / stride)
+    heads = [
+        _distribution(head, blocks, stride, candidates)
+        for head in (blocks.aggregation(volume, guides) if training else blocks.aggregation(volume, guides)[-1:])
+    ]
+    if not training:
+        best = heads[-1]
+        disparity, certainty = _regress(best, blocks, guides, with_confidence=confidence)
+        if certainty is not None:
+            ends_at = best.stride // (upsampler.scale if upsampler.domain == "volume" else 1)
+            certainty = at_full_size(Prediction(certainty, ends_at))
+        return StageOutput((_upsampled(disparity, best, blocks, guides),), certainty)
+    predictions = []
+    for number, head in enumerate(heads, start=1):
+        coarse, _ = _regress(head, blocks, guides)
+        if upsampler.learned and upsampler.domain == "disparity" and number == len(heads):
+            predictions.append(Prediction(coarse, head.stride, head))
+        predictions.append(_upsampled(coarse, head, blocks, guides))
+    return StageOutput(tuple(predictions), None)
+
+
+def stage_loss_weights(blocks: StageBlocks) -> tuple[float, ...]:
+    """The weight in the loss of each prediction that a stage gives in training mode."""
+    *others, last = blocks.aggregation.loss_weights
+    coarse = (0.3 * last,) if blocks.upsampler.learned and blocks.upsampler.domain == "disparity" else ()
+    return (*others, *coarse, last)
+
+
+def resample(values: Tensor, size: tuple[int, ...], *, batch: int) -> Tensor:
+    """Candidates (D,) or (B, D, h, w) at another number of planes and another resolution, by interpolation.
+
+    >>> import torch
+    >>> resample(torch.tensor([0.0, 4.0, 8.0, 12.0]), (2, 1, 1), batch=1).flatten()
+    tensor([2., 10.])
+    """
+    if values.dim() == 1:
+        values = values.reshape(1, -1, 1, 1).expand(batch, -1, 1, 1)
+        if size[0] != values.shape[1]:
+            values = _interpolate(values, (size[0], 1, 1))
+        return values.expand(batch, *size)
+    return values if tuple(values.shape[1:]) == size else _interpolate(values, size)
+
+
+def _interpolate(values: Tensor, size: tuple[int, ...]) -> Tensor:
+    return F.interpolate(values.unsqueeze(1), size, mode="trilinear", align_corners=False).squeeze(1)
+
+
+def _distribution(
+    head: Tensor | Distribution, blocks: StageBlocks, stride: int, candidates: Tensor | None
+) -> Distribution:
+    """What a head gave, with all that is known of its planes."""
+    if isinstance(head, Distribution):
+        return head if candidates is None else head._replace(values=candidates)
+    upscale = blocks.aggregation.upscale
+    spacing = blocks.candidates.spacing / upscale
+    # a plane that is going to be divided is the middle of the fine ones, the first of which is 0
+    parts = planes_scale(blocks.upsampler) if blocks.upsampler.domain == "volume" else 1
+    first = (parts - 1) / 2 * spacing / parts
+    return Distribution(head, stride // upscale, spacing, first, values=candidates)
+
+
+def planes_scale(upsampler: Upsampler) -> int:
+    """By which the planes of a volume grow in an upsampler."""
+    return int(getattr(upsampler, "planes_scale", upsampler.scale))
+
+
+def _regress(
+    head: Distribution, blocks: StageBlocks, guides: Guides, *, with_confidence: bool = False
+) -> tuple[Tensor, Tensor | None]:
+    """The disparity of a head in px, at the resolution of its logits or, if these are upsampled, of those."""
+    logits, spacing = head.logits, head.spacing
+    if blocks.upsampler.domain == "volume":
+        planes = logits.shape[1]
+        logits = blocks.upsampler(logits, guides)
+        spacing = spacing * planes / logits.shape[1]
+    values = None
+    if head.values is not None:
+        values = resample(head.values, tuple(logits.shape[1:]), batch=len(logits))
+    if with_confidence:
+        disparity, confidence = blocks.regression.with_confidence(logits, values)
+    else:
+        disparity, confidence = blocks.regression(logits, values), None
+    return (disparity * spacing if values is None else disparity), confidence
+
+
+def _upsampled(disparity: Tensor, head: Distribution, blocks: StageBlocks, guides: Guides) -> Prediction:
+    """The disparity at the resolution that the upsampler ends at."""
+    upsampler = blocks.upsampler
+    if upsampler.domain == "disparity":
+        disparity = upsampler(disparity, guides)
+    return Prediction(disparity, head.stride // upsampler.scale, head)
