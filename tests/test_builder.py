@@ -316,7 +316,7 @@ def test_a_configuration_takes_overrides():
         "regression": {"name": "top_k", "k": 3, "test_k": None},
         "max_disparity": 96,
     }
-    assert build_model(config, regression="soft_argmin").config["regression"] == {"name": "soft_argmin"}
+    assert build_model(config, regression="soft_argmin").config["regression"]["name"] == "soft_argmin"
 
 
 def test_a_configuration_is_left_as_it_is():

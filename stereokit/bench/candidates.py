@@ -22,7 +22,7 @@ from stereokit.registry import list_models, suggest
 from stereokit.runtime.precision import DTYPES, dtype_of
 from stereokit.weights import list_weights, load_weights
 from stereokit.weights.places import FILE_BACKENDS, is_exported
-from stereokit.weights.published import NETWORKS, load_published
+from stereokit.weights.published import load_published, published_networks
 
 __all__ = ["BACKENDS", "PRECISIONS", "Candidate", "Ready", "Source", "image_pair", "rival_source", "source_of"]
 
@@ -233,7 +233,7 @@ def _saved(folder: str, max_disparity: int | None = None) -> StereoNetwork:
 def _published(path: str, max_disparity: int | None = None) -> StereoNetwork:
     overrides: dict[str, Any] = {} if max_disparity is None else {"max_disparity": max_disparity}
     refusals = []
-    for network in NETWORKS:
+    for network in published_networks():
         try:
             return load_published(path, network, **overrides)
         except CheckpointError as error:

@@ -32,7 +32,7 @@ from stereokit.runtime.precision import DTYPES
 from stereokit.weights import default_weights, load_weights, named_weights, read_manifest, suggest_weights
 from stereokit.weights.folder import CONFIG_NAME, WEIGHTS_NAME
 from stereokit.weights.places import is_exported
-from stereokit.weights.published import NETWORKS, ConversionReport, convert_published
+from stereokit.weights.published import ConversionReport, convert_published, published_networks
 
 __all__ = ["main"]
 
@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     convert = commands.add_parser("convert", help="turn a published checkpoint into a saved network")
     convert.add_argument("checkpoint", help="Lightning checkpoint or bare state dict")
     convert.add_argument("out", help="folder for the network")
-    convert.add_argument("--model", default="coex", help=f"{' or '.join(NETWORKS)} (default: %(default)s)")
+    convert.add_argument("--model", default="coex", help=f"{' or '.join(published_networks())} (default: %(default)s)")
     _add_published_options(convert)
     convert.add_argument("--overwrite", action="store_true", help="replace an existing network")
     convert.set_defaults(run=_convert)

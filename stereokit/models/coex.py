@@ -3,9 +3,15 @@
 Bangunharcana et al., "Correlate-and-Excite: real-time stereo matching via guided cost volume excitation", IROS 2021.
 """
 
-from stereokit.builder import recipe
+from collections.abc import Mapping
+from typing import Any
 
-__all__ = ["coex"]
+from torch import Tensor
+
+from stereokit.builder import recipe
+from stereokit.weights.key_map import KeyMap, layer, publish
+
+__all__ = ["MOBILENET", "coex"]
 
 coex = recipe(
     "coex",
@@ -24,4 +30,77 @@ coex = recipe(
             "concatenation": {"projection": [48, 24]},
         },
     },
+)
+
+
+def _variant(state: Mapping[str, Tensor]) -> dict[str, Any]:
+    cost = "correlation" if state["cost_agg.conv_stem.conv.weight"].shape[1] == 1 else "concatenation"
+    if not any(key.startswith("cost_agg.channelAtt") for key in state):
+        return {"cost": cost, "guidance": "none"}
+    full = any(key.startswith("cost_agg.channelAttDown.") for key in state)
+    return {"cost": cost, "guidance": "gce", "guidance_at": "full" if full else "one"}
+
+
+MOBILENET = KeyMap(
+    [
+        ("block0.0.", "stages.0.0."),
+        ("block1.0.", "stages.0.1."),
+        ("block2.0.", "stages.1."),
+        ("block3.", "stages.2."),
+        ("block4.0.", "stages.3."),
+        ("conv_stem.", "conv_stem."),
+        ("bn1.", "bn1."),
+    ]
+)
+"""timm's MobileNetV2 as its users cut it, in `MobileNetV2Encoder`."""
+
+
+def _excited(published: str, ours: str) -> list[tuple[str, str]]:
+    """A GCE."""
+    return [
+        (f"{published}im_att.0.conv.", f"{ours}block.network.0.0."),
+        (f"{published}im_att.0.bn.", f"{ours}block.network.0.1."),
+        (f"{published}im_att.1.", f"{ours}block.network.1."),
+    ]
+
+
+def _pair(published: str, ours: str) -> list[tuple[str, str]]:
+    """Two layers in a row."""
+    return [*layer(f"{published}0.", f"{ours}0."), *layer(f"{published}1.", f"{ours}1.")]
+
+
+publish(
+    "coex",
+    source="the authors' Lightning checkpoints",
+    licence="GPL-3.0",
+    images="bgr",
+    variant=_variant,
+    first_layers=("backbone.encoder.conv_stem.weight", "backbone.stem_2.0.0.weight"),
+    unused=("cost_agg.conv_skip.0.", "cost_agg.conv_agg.0.", "cost_agg.channelAtt.0.", "cost_agg.conv_up.0.bn."),
+    keys=[
+        *MOBILENET.under("feature.", "backbone.encoder."),
+        *layer("up.deconv{n}_{m}.conv1.", "backbone.up_{m}.up."),
+        *layer("up.deconv{n}_{m}.conv2.", "backbone.up_{m}.merge."),
+        *layer("up.conv4.", "backbone.merge_4."),
+        *layer("stem_{n}.0.", "backbone.stem_{n}.0."),
+        ("stem_{n}.1.", "backbone.stem_{n}.1.0."),
+        ("stem_{n}.2.", "backbone.stem_{n}.1.1."),
+        *layer("cost_volume.conv.", "cost.projection.layers.0."),
+        ("cost_volume.desc.", "cost.projection.layers.1."),
+        *layer("cost_agg.conv_stem.", "aggregation.stem."),
+        *_excited("cost_agg.channelAttStem.", "aggregation.stem_guidance."),
+        *_pair("cost_agg.conv_down.{n}.", "aggregation.down{n+1}.convs."),
+        *_excited("cost_agg.channelAttDown.{n}.", "aggregation.down{n+1}.guidance."),
+        ("cost_agg.conv_up.0.conv.", "aggregation.up1."),
+        *layer("cost_agg.conv_up.{n}.", "aggregation.up{n+1}.up."),
+        *layer("cost_agg.conv_skip.{n}.", "aggregation.up{n+1}.merge."),
+        *_pair("cost_agg.conv_agg.{n}.", "aggregation.up{n+1}.convs."),
+        *_excited("cost_agg.channelAtt.{n}.", "aggregation.up{n+1}.guidance."),
+        *layer("spx_4.0.", "upsampler.stem.0."),
+        ("spx_4.1.", "upsampler.stem.1.0."),
+        ("spx_4.2.", "upsampler.stem.1.1."),
+        *layer("spx_2.conv1.", "upsampler.up.0."),
+        *layer("spx_2.conv2.", "upsampler.merge.0."),
+        ("spx.0.", "upsampler.head."),
+    ],
 )

@@ -3,9 +3,15 @@
 Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018.
 """
 
-from stereokit.builder import recipe
+from collections.abc import Mapping
+from typing import Any
 
-__all__ = ["psmnet"]
+from torch import Tensor
+
+from stereokit.builder import recipe
+from stereokit.weights.key_map import KeyMap, layer, publish
+
+__all__ = ["TRUNK", "psmnet"]
 
 psmnet = recipe(
     "psmnet",
@@ -16,4 +22,55 @@ psmnet = recipe(
     regression="soft_argmin",
     upsampler="trilinear",
     presets={"cost": {"correlation": {"projection": [32, 32]}}},
+)
+
+
+def _variant(state: Mapping[str, Tensor]) -> dict[str, Any]:
+    return {
+        "cost": "correlation" if "conv_stem.conv.weight" in state else "concatenation",
+        "guidance": "gce" if any(key.startswith("channelAtt.") for key in state) else "none",
+    }
+
+
+TRUNK = KeyMap(
+    [
+        ("firstconv.0.", "stem.0."),
+        ("firstconv.2.", "stem.1."),
+        ("firstconv.4.", "stem.2."),
+        ("layer{n}.{m}.conv1.0.", "layer{n}.{m}.conv1."),
+        ("layer{n}.{m}.conv2.", "layer{n}.{m}.conv2."),
+        ("layer{n}.{m}.downsample.", "layer{n}.{m}.skip."),
+    ]
+)
+"""The residual layers, which many networks after PSMNet have."""
+
+publish(
+    "psmnet",
+    source="the checkpoints of CoEx's ablation",
+    licence="GPL-3.0",
+    images="bgr",
+    variant=_variant,
+    first_layers=("backbone.stem.0.0.weight",),
+    keys=[
+        *TRUNK.under("feature_extraction.", "backbone."),
+        ("feature_extraction.branch4.1.", "backbone.branches.0.conv."),
+        ("feature_extraction.branch3.1.", "backbone.branches.1.conv."),
+        ("feature_extraction.branch2.1.", "backbone.branches.2.conv."),
+        ("feature_extraction.branch1.1.", "backbone.branches.3.conv."),
+        ("feature_extraction.lastconv.0.", "backbone.fuse.0."),
+        ("feature_extraction.lastconv.2.", "backbone.fuse.1."),
+        *layer("cost_volume.conv.", "cost.projection.layers.0."),
+        ("cost_volume.desc.", "cost.projection.layers.1."),
+        *layer("conv_stem.", "aggregation.stem."),
+        *layer("channelAtt.im_att.0.", "aggregation.guidance.block.network.0."),
+        ("channelAtt.im_att.1.", "aggregation.guidance.block.network.1."),
+        ("dres{n}.0.", "aggregation.pair{n}.0."),
+        ("dres{n}.2.", "aggregation.pair{n}.1."),
+        ("dres{n}.conv1.0.", "aggregation.hourglass{n-1}.conv1."),
+        ("dres{n}.conv3.0.", "aggregation.hourglass{n-1}.conv3."),
+        ("dres{n}.conv4.0.", "aggregation.hourglass{n-1}.conv4."),
+        ("dres{n}.conv{m}.", "aggregation.hourglass{n-1}.conv{m}."),
+        ("classif{n}.0.", "aggregation.head{n}.0."),
+        ("classif{n}.2.", "aggregation.head{n}.1."),
+    ],
 )
