@@ -31,7 +31,7 @@ class ApartFromAutocast(nn.Module):
         raise NotImplementedError
 
     def forward(self, input: Tensor, *args: Any, **options: Any) -> Tensor:
-        """The convolution of the input, in the type that autocast would give it."""
+        """The convolution of the input, in the type that autocast gives its results."""
         if input.device.type != "cpu" or not torch.is_autocast_enabled("cpu") or not self.stays_out(input):
             return super().forward(input, *args, **options)
         with torch.autocast("cpu", enabled=False):
@@ -76,7 +76,7 @@ class SmallConv3d(_SmallVolume, nn.Conv3d):
 
 
 class SmallConvTranspose3d(_SmallVolume, nn.ConvTranspose3d):
-    """A transposed 3D convolution that does as `SmallConv3d`."""
+    """A transposed 3D convolution that does the same as `SmallConv3d`."""
 
 
 _SUBSTITUTES = {nn.Conv3d: SmallConv3d, nn.ConvTranspose3d: SmallConvTranspose3d}
