@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +80,8 @@ def train(
         data: data sets to train on, "KIND:ROOT", see `open_dataset`; without any, a recipe for rendered scenes renders.
         validation: data sets to validate on; without any, a recipe for rendered scenes renders some of another seed.
         textures: folder of photographs that rendered scenes use besides procedural textures.
-        model: a network to go on from, in place of the recipe's own with random weights. It keeps its classes and hooks,
-            and has the trained weights in the end; after an error, those that the run came to.
+        model: a network to go on from, in place of the recipe's own with random weights. It keeps its classes and
+            hooks, and has the trained weights in the end; after an error, those that the run came to.
         weights: name of the weights of `model`, for the line that says what the run starts from.
         network_from: which network is trained where `model` is not the recipe's: with "recipe" it is refused, with
             "weights" it is trained as it is, and the record names it.
@@ -123,8 +124,7 @@ def train(
     )
     training.model.train()
 
-    def save(place: Path, trained: StereoModel) -> dict[str, Any]:
-        return _save(place, trained, {**asked, **_results(training, trained), **circumstances})
+    save = partial(_save, training, asked, circumstances)
 
     validate_every = min(machine.validate_every, steps)
     checkpoint = LastCheckpoint(folder.last, machine.checkpoint_every, validate_every if pairs.validation else None)
@@ -213,23 +213,28 @@ def _fit(
     copy_state(training.model.cpu(), network.cpu())
 
 
-def _save(place: Path, trained: StereoModel, record: dict[str, Any]) -> dict[str, Any]:
+def _save(
+    training: StereoTraining,
+    asked: Mapping[str, Any],
+    circumstances: Mapping[str, Any],
+    place: Path,
+    trained: StereoModel,
+) -> dict[str, Any]:
     """Writes a network and its record, and gives the record."""
-    if is_first_process():
-        trained.save_pretrained(place)
-        write_json(place / "training.json", record)
-    return record
-
-
-def _results(training: StereoTraining, trained: StereoModel) -> dict[str, Any]:
-    return {
+    record = {
+        **asked,
         "steps": training.global_step,
         "pairs_seen": training.pairs_seen,
         "broken_steps": training.broken_steps,
         "seconds": round(training.seconds, 1),
         "weights_sha256": state_sha256(trained.state_dict()),
         "validation": training.errors,
+        **circumstances,
     }
+    if is_first_process():
+        trained.save_pretrained(place)
+        write_json(place / "training.json", record)
+    return record
 
 
 def _start(recipe: Recipe, model: StereoModel | None, weights: str | None) -> str:

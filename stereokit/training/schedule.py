@@ -25,8 +25,8 @@ class Schedule:
 
     - "milestones": `factor` to the power of the number of milestones passed;
     - "exponential": `factor` to the power of p / `every`, which falls evenly;
-    - "one_cycle": from `initial` at the start over 1 at p = `warmup` to `final` at the end, by half a cosine each, or in
-      straight lines. Without `warmup` it falls all the way.
+    - "one_cycle": from `initial` at the start over 1 at p = `warmup` to `final` at the end, by half a cosine each, or
+      in straight lines. Without `warmup` it falls all the way.
 
     In the first two kinds f rises in a straight line from 0 over the first `warmup` besides.
 
