@@ -454,7 +454,7 @@ def test_a_loss_that_nobody_knows_is_refused(tmp_path, kind, words):
 
 @pytest.mark.parametrize("seed", [-1, 2**32, 1.0, True])
 def test_a_seed_is_a_whole_number(tmp_path, seed):
-    with pytest.raises(ConfigError, match="seed is .*; expected a whole number from 0"):
+    with pytest.raises(ConfigError, match=r"seed is .*; expected a whole number from 0"):
         train(TINY, tmp_path / "run", seed=seed, machine=CPU)
 
 
