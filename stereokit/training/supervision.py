@@ -62,7 +62,7 @@ disparity is x_left - x_right, which is positive: turn the sign in the files aro
     dropped = PixelCounts(negative=counts.negative, too_large=counts.too_large)
     if dropped.total > MOST_DROPPED * counts.known:
         warnings.warn(
-            f"{name}: only {counts.valid / counts.known:.1%} of the pixels with a disparity are trained on, {seen}: "
+            f"{name}: only {100 * counts.valid / counts.known:.3g} % of the pixels with a disparity are trained on, {seen}: "
             f"{_reasons(dropped, counts.known)}",
             stacklevel=4,
         )

@@ -44,7 +44,7 @@ def test_a_warning_tells_that_more_than_half_is_dropped(truths):
         check_supervision("mine", pairs(*truths), max_disparity=192)
     assert bool(caught) == (dropped > valid)
     if caught:
-        assert f"only {valid / (valid + dropped):.1%} of the pixels with a disparity" in str(caught[0].message)
+        assert f"only {100 * valid / (valid + dropped):.3g} % of the pixels with a disparity" in str(caught[0].message)
 
 
 class Counting:
