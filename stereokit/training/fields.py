@@ -51,8 +51,9 @@ def check_types(section: str, values: Mapping[str, Any], annotations: Mapping[st
             continue
         if not _fits(value, annotations[key]):
             raise ConfigError(f"{section}: {key} is {_brief(value)}; expected {_in_words(annotations[key])}")
-        odd = None if isinstance(annotations[key], type) else _not_plain(value, key)
-        if odd is not None:
+        # a class of its own checks what it holds
+        own = get_origin(annotations[key]) is None and isinstance(annotations[key], type)
+        if not own and (odd := _not_plain(value, key)) is not None:
             place, part = odd
             raise ConfigError(
                 f"{section}: {place} is {_brief(part)}; expected text, a finite number, true or false, or a list or "
@@ -116,7 +117,7 @@ def _in_words(wanted: Any) -> str:
     if origin is tuple:
         count = "" if parts[-1] is ... else f"{len(parts)} "
         return f"a list of {count}{_in_words(parts[0]).removeprefix('a ')}s"
-    return _WORDS.get(wanted) or ("a table" if origin is not None else f"a {wanted.__name__}")
+    return _WORDS.get(wanted) or ("a table" if origin is not None else wanted.__name__)
 
 
 def _not_plain(value: Any, place: str) -> tuple[str, Any] | None:

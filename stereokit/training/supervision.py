@@ -45,7 +45,7 @@ def check_supervision(
             read.
 
     Warns:
-        UserWarning: more than half of the pixels that have a value, whether known to be right or not, do not count.
+        UserWarning: more than half of the pixels that have a value, do not count.
 
     >>> from stereokit.data.datasets import StereoSample
     >>> image = np.zeros((2, 4, 3), np.uint8)
@@ -61,8 +61,9 @@ disparity is x_left - x_right, which is positive: turn the sign in the files aro
         raise InputError(f"{name}: no pixel of the ground truth counts, {seen}: {_reasons(counts, counts.total)}")
     dropped = PixelCounts(negative=counts.negative, too_large=counts.too_large)
     if dropped.total > MOST_DROPPED * counts.known:
+        share = 100 * counts.valid / counts.known
         warnings.warn(
-            f"{name}: only {100 * counts.valid / counts.known:.3g} % of the pixels with a disparity are trained on, {seen}: "
+            f"{name}: only {share:.3g} % of the pixels with a disparity are trained on, {seen}: "
             f"{_reasons(dropped, counts.known)}",
             stacklevel=4,
         )

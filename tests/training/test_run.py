@@ -303,11 +303,15 @@ def kinds(network):
 
 
 @pytest.mark.parametrize("interrupted", [False, True])
-def test_the_network_that_was_given_keeps_its_classes_and_learns(tmp_path, monkeypatch, interrupted):
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_network_that_was_given_keeps_its_classes_and_learns(tmp_path, monkeypatch, interrupted, moved):
     model = build_model("coex", max_disparity=32).eval()
     model.register_forward_hook(lambda *_: None)
     before, classes = {key: value.clone() for key, value in model.state_dict().items()}, kinds(model)
     weights, hooks = list(map(id, model.parameters())), dict(model._forward_hooks)
+    if moved:
+        # as to a GPU, where buffers are others
+        monkeypatch.setattr(StereoTraining, "setup", lambda self, stage: self._apply(torch.clone))
     if interrupted:
         start = StereoTraining.on_train_batch_start
 
