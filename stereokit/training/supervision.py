@@ -45,7 +45,7 @@ def check_supervision(
             read.
 
     Warns:
-        UserWarning: more than half of the pixels that have a value, do not count.
+        UserWarning: more than half of the pixels that have a value do not count.
 
     >>> from stereokit.data.datasets import StereoSample
     >>> image = np.zeros((2, 4, 3), np.uint8)
