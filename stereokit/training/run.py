@@ -123,9 +123,7 @@ def train(
         network, recipe, steps=steps, minutes=minutes, validation=tuple(pairs.validation), compile=machine.compile
     )
     training.model.train()
-
     save = partial(_save, training, asked, circumstances)
-
     validate_every = min(machine.validate_every, steps)
     checkpoint = LastCheckpoint(folder.last, machine.checkpoint_every, validate_every if pairs.validation else None)
     callbacks = [*_callbacks(training, folder, save, goes_on=goes_on), checkpoint]
