@@ -26,6 +26,7 @@ from stereokit.registry import (
 from stereokit.regression import SoftArgmin, TopKSoftArgmin
 from stereokit.upsampling import SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
+from stereokit.weights.opening import ExportedFile, open_network
 from stereokit.weights.published import load_published
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "CorrelationVolume",
     "DisparityResult",
     "EncoderDecoder",
+    "ExportedFile",
     "GroupwiseCorrelationVolume",
     "Hourglass",
     "InputError",
@@ -69,6 +71,7 @@ __all__ = [
     "list_weights",
     "load_published",
     "load_weights",
+    "open_network",
     "psmnet",
     "stereo_loss",
 ]

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any, TypedDict, cast
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from stereokit.config import rebuild
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.registry import MODELS, WEIGHTS, suggest
 from stereokit.runtime.provenance import file_sha256
-from stereokit.weights.folder import WEIGHTS_NAME, load_state
+from stereokit.weights.folder import WEIGHTS_NAME, restore
 
 if TYPE_CHECKING:
     from stereokit.model import StereoModel
@@ -184,15 +183,4 @@ def load_weights(name: str | Path, **overrides: Any) -> "StereoModel":
             f"the weights {str(path)!r} are damaged: their SHA-256 is {digest}, not {manifest['sha256']} as in the "
             "manifest; get them again, with the package if they came with it"
         )
-    model: StereoModel = rebuild(manifest["network"], **overrides)
-    differing = [key for key, value in model.config.items() if manifest["network"].get(key) != value]
-    try:
-        load_state(model, state, manifest["name"])
-    except CheckpointError as error:
-        if not differing:
-            raise
-        raise CheckpointError(
-            f"the weights {str(name)!r} are of another network: it differs in {', '.join(differing)}; "
-            "leave that as it is, or train it"
-        ) from error
-    return model.eval()
+    return restore(manifest["network"], overrides, state, manifest["name"])
