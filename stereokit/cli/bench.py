@@ -38,8 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "models",
         nargs="*",
         metavar="MODEL_OR_WEIGHTS",
-        help=f"name of a network ({', '.join(list_models())}), which is untrained then; or {network_help()} "
-        "(default: coex)",
+        help=f"{network_help(bare_name='untrained')}: {', '.join(list_models())} (default: coex)",
     )
     parser.add_argument("--rival", nargs="+", default=[], metavar="NAME", help=f"{', '.join(SGBM_VARIANTS)}")
     parser.add_argument(

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(sgbm_5paths), holes filled from the background, or left (sgbm_unfilled, sgbm_5paths_unfilled); or a "
         "function of your own, MODULE:FUNCTION, from left and right image to disparity (default: coex)",
     )
-    parser.add_argument("--weights", help=network_help(default="those of --model", exported=True))
+    parser.add_argument("--weights", help=f"{network_help(exported=True)} (default: those of --model)")
     add_published_options(parser)
     parser.add_argument(
         "--data",

@@ -24,7 +24,7 @@ HELD_OUT = 4
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `stereokit export`."""
-    parser.add_argument("weights", nargs="?", metavar="WEIGHTS", help=network_help(default="those of --model"))
+    parser.add_argument("weights", nargs="?", metavar="WEIGHTS", help=f"{network_help()} (default: those of --model)")
     parser.add_argument("--model", help="name of the network that the weights are of (default: coex)")
     add_published_options(parser)
     parser.add_argument("--to", required=True, choices=SUFFIXES, help="ONNX, OpenVINO, or a program of torch.export")

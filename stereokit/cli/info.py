@@ -13,7 +13,7 @@ __all__ = ["add_arguments", "run"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `stereokit info`."""
-    parser.add_argument("model", help=f"name of a network, which needs no weights here; or {network_help()}")
+    parser.add_argument("model", help=network_help(bare_name="untrained"))
     parser.add_argument("--size", nargs=2, type=int, default=(384, 1248), metavar=("HEIGHT", "WIDTH"))
 
 

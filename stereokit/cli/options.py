@@ -6,25 +6,26 @@ from typing import get_args
 from stereokit.backends import BACKENDS
 from stereokit.inference.bounds import TooLarge
 from stereokit.runtime.precision import DTYPES
+from stereokit.weights.opening import BareName
 
 __all__ = ["DEVICE_HELP", "add_predictor_options", "add_published_options", "network_help"]
 
 DEVICE_HELP = "cpu, cuda, ... (default: a GPU if there is one)"
 
 
-def network_help(*, default: str = "", exported: bool = False) -> str:
-    """What `--weights` and its like take, see `stereokit.weights.opening.open_network`.
+def network_help(*, exported: bool = False, bare_name: BareName = "trained") -> str:
+    """What `--weights` and its like take, see `stereokit.open_network`.
 
     Args:
-        default: what stands for an option that is not given.
         exported: whether the command takes exported files too.
+        bare_name: what the name of a network stands for.
     """
-    files = ", an exported file (.onnx, .xml)" if exported else ""
-    places = (
-        "folder or hub id of a saved network, published checkpoint"
-        f"{files}, name of weights (see 'stereokit list weights'), or name of a network for its default weights"
+    files = ", exported file (.onnx, .xml)" if exported else ""
+    meaning = "for its default weights" if bare_name == "trained" else "with random weights"
+    return (
+        f"folder or hub id of a saved network, published checkpoint{files}, name of weights (see 'stereokit list "
+        f"weights'), or name of a network, {meaning}"
     )
-    return f"{places} (default: {default})" if default else places
 
 
 def add_published_options(parser: argparse.ArgumentParser) -> None:

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("left", help="left image, folder, or quoted pattern")
     parser.add_argument("right", help="right image, folder, or quoted pattern")
     parser.add_argument("--model", help="name of the network that the weights are of (default: coex)")
-    parser.add_argument("--weights", help=network_help(default="those of --model", exported=True))
+    parser.add_argument("--weights", help=f"{network_help(exported=True)} (default: those of --model)")
     add_published_options(parser)
     parser.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     add_predictor_options(parser)

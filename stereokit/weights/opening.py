@@ -159,8 +159,8 @@ def find_network(place: str | os.PathLike[str] | NetworkPlace, *, bare_name: Bar
         return NetworkPlace("hub", name)
     known = suggest_weights(name) if bare_name == "trained" else suggest(name, [*MODELS.names(), *list_weights()])
     raise CheckpointError(
-        f"unknown network {name!r}, which is no file or folder either; {known}; or use the folder or the hub id of a "
-        f"saved network, a published checkpoint, or an exported file ({EXPORTED})"
+        f"unknown network {name!r}, and no file or folder; {known}; or use the folder or the hub id of a saved "
+        f"network, a published checkpoint, or an exported file ({EXPORTED})"
     )
 
 
