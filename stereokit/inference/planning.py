@@ -39,7 +39,7 @@ class MemoryPlanner:
     >>> import torch
     >>> from stereokit import build_model
     >>> backend = TorchBackend(build_model("coex", max_disparity=64), torch.device("cpu"))
-    >>> MemoryPlanner(backend, "8MB", "tile").plan(400, 600).how
+    >>> MemoryPlanner(backend, "100MB", "tile").plan(400, 600).how
     'tile'
     """
 

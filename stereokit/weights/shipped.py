@@ -1,7 +1,6 @@
 """Weights by name. Other packages add theirs to `WEIGHTS`, as a function that gives the folder."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, cast
@@ -24,7 +23,6 @@ __all__ = [
     "default_weights",
     "list_weights",
     "load_weights",
-    "named_weights",
     "read_manifest",
     "suggest_weights",
     "weights_folder",
@@ -95,26 +93,8 @@ def default_weights(network: str) -> str:
     raise ConfigError(f"there are no weights for {network!r}; there are {', '.join(list_weights())}")
 
 
-def named_weights(name: str) -> str | None:
-    """The weights that a name means: its own, or the default ones of a network; None where it is no such name.
-
-    What lies on disk under the name goes before both.
-
-    Raises:
-        ConfigError: a network without weights, see `default_weights`.
-
-    >>> named_weights("coex"), named_weights("runs/mine")
-    ('coex.synthetic_v7', None)
-    """
-    if os.path.exists(name):
-        return None
-    if name in WEIGHTS:
-        return name
-    return default_weights(name) if name in MODELS else None
-
-
 def suggest_weights(name: str) -> str:
-    """The end of an error message about a name that `named_weights` does not know.
+    """The end of an error message about a name that stands for no weights.
 
     >>> suggest_weights("coex.synthetic_v1")
     "did you mean 'coex.synthetic_v7'? Known: coex, coex.synthetic_v7"

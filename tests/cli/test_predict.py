@@ -80,6 +80,9 @@ def test_the_name_of_a_network_stands_for_its_weights(
     shutil.copytree(weights, "coex")
     assert run(capsys, "predict", *pair, "--out", "folder", "--weights", "coex")[0] == 0
     assert Path("folder/a_disparity.pfm").read_bytes() != Path("default/a_disparity.pfm").read_bytes()
+    # but not where no place was given
+    assert run(capsys, "predict", *pair, "--out", "model", "--model", "coex")[0] == 0
+    assert Path("model/a_disparity.pfm").read_bytes() == Path("default/a_disparity.pfm").read_bytes()
 
 
 def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:

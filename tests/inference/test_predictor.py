@@ -8,6 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from stereokit import ConfigError, InputError, StereoOutput, build_model
+from stereokit.backends.eager import TorchBackend
+from stereokit.backends.estimate import Estimate
 from stereokit.data import read_disparity, read_image
 from stereokit.errors import CheckpointError
 from stereokit.inference import DisparityResult, Predictor, output_paths
@@ -122,15 +124,20 @@ def test_what_is_prepared_once_is_timed_apart_from_tiles_too() -> None:
 
 def test_threads_that_share_a_predictor_are_timed_each_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     predict = Predictor(ColumnNet(), "cpu")
+    # so that no thread plans this size
     predict(*np.zeros((2, 40, 50), np.float32))
     together = threading.Barrier(4, timeout=60)
 
-    def prepare(left: Tensor, right: Tensor) -> float:
-        # all are in the middle of a pair at once
-        together.wait()
+    def prepare(backend: TorchBackend, left: Tensor, right: Tensor) -> float:
         return 1000 * float(left.mean())
 
-    monkeypatch.setattr(predict.backend, "prepare", prepare)
+    def match(backend: TorchBackend, left: Tensor, right: Tensor) -> Estimate:
+        # all are in the middle of a pair at once
+        together.wait()
+        return Estimate(100 * left.mean(1).numpy(), None)
+
+    monkeypatch.setattr(TorchBackend, "prepare", prepare)
+    monkeypatch.setattr(TorchBackend, "__call__", match)
     levels = [0.1, 0.2, 0.3, 0.4]
     with ThreadPoolExecutor(4) as pool:
         results = list(pool.map(lambda level: predict(*np.full((2, 40, 50), level, np.float32)), levels))
