@@ -38,6 +38,7 @@ from stereokit.registry import (
 from stereokit.regression import SoftArgmin, TopKSoftArgmin
 from stereokit.upsampling import SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
+from stereokit.weights.opening import ExportedFile, open_network
 from stereokit.weights.published import load_published
 
 __all__ = [
@@ -63,6 +64,7 @@ __all__ = [
     "DisparityRange",
     "DisparityResult",
     "EncoderDecoder",
+    "ExportedFile",
     "GroupwiseCorrelationVolume",
     "Hourglass",
     "InputError",
@@ -90,6 +92,7 @@ __all__ = [
     "list_weights",
     "load_published",
     "load_weights",
+    "open_network",
     "psmnet",
     "stereo_loss",
 ]

@@ -2,21 +2,19 @@
 
 import argparse
 import shlex
-from collections.abc import Callable
 from typing import Any
 
+from stereokit.cli.loading import check_published_options, load_chosen_network
+from stereokit.cli.options import add_published_options, network_help
 from stereokit.errors import ConfigError
-from stereokit.network import StereoNetwork
 from stereokit.training.machine import Machine
 from stereokit.training.recipe import list_recipes, load_recipe, with_length
 
 __all__ = ["add_arguments", "run"]
 
-LoadNetwork = Callable[[argparse.Namespace], StereoNetwork]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `stereokit train`, less those of published checkpoints, which several commands share."""
+    """The options of `stereokit train`."""
     parser.add_argument(
         "--recipe", required=True, help=f"{', '.join(list_recipes())}; or a file of one's own that ends in .toml"
     )
@@ -36,11 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="data set to validate on as it goes; may be given several times",
     )
     parser.add_argument("--textures", metavar="DIR", help="photographs to use in rendered scenes besides patterns")
-    parser.add_argument(
-        "--weights",
-        help="network to go on from: folder of a saved one, published checkpoint, a name of stereokit list weights, or "
-        "that of a network for its default ones",
-    )
+    parser.add_argument("--weights", help=f"network to go on from: {network_help()}")
     parser.add_argument(
         "--network-from",
         choices=("recipe", "weights"),
@@ -48,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="which network to train where that of --weights is not the recipe's: recipe refuses it, weights trains it "
         "as it is (default: %(default)s)",
     )
+    add_published_options(parser)
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out, if there is one")
     length = parser.add_argument_group("length")
     length.add_argument(
@@ -75,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
+def run(options: argparse.Namespace) -> None:
     """The command, with the options that `stereokit train --help` lists."""
     # below, for they need Lightning
     from stereokit.training import train
@@ -83,13 +78,15 @@ def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
 
     recipe = with_length(load_recipe(options.recipe), steps=options.steps, batch=options.batch)
     options.model = recipe.model["name"]
+    if options.weights is None:
+        check_published_options(options)
     outcome = train(
         recipe,
         options.out,
         data=options.data,
         validation=options.validate,
         textures=options.textures,
-        model=None if options.weights is None else load_network(options).train(),
+        model=None if options.weights is None else load_chosen_network(options).train(),
         weights=options.weights,
         network_from=options.network_from,
         seed=options.seed,
