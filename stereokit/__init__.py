@@ -1,8 +1,8 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
-from stereokit.aggregation import EncoderDecoder, Hourglass, StackedHourglass
-from stereokit.backbones import ResidualTower, SpatialPyramid, UNet
+from stereokit.aggregation import EncoderDecoder, Hourglass, InvertedResidualHourglass, StackedHourglass
+from stereokit.backbones import FeaturePyramid, ResidualTower, SpatialPyramid, UNet
 from stereokit.builder import build_model
 from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
@@ -14,11 +14,11 @@ from stereokit.costs import (
     GroupwiseCorrelationVolume,
 )
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
-from stereokit.guidance import GCE, AdditiveGuidance, NeighborhoodAggregation
+from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregation
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
-from stereokit.models import coex, gcnet, psmnet
+from stereokit.models import coex, gcnet, lightstereo_l, lightstereo_m, lightstereo_s, psmnet
 from stereokit.network import StereoNetwork
 from stereokit.registry import (
     AGGREGATIONS,
@@ -36,7 +36,7 @@ from stereokit.registry import (
     list_models,
 )
 from stereokit.regression import SoftArgmin, TopKSoftArgmin
-from stereokit.upsampling import SuperpixelUpsampler
+from stereokit.upsampling import ImageSuperpixelUpsampler, SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
 from stereokit.weights.opening import ExportedFile, open_network
 from stereokit.weights.published import load_published
@@ -50,6 +50,7 @@ __all__ = [
     "GUIDANCE",
     "LOSSES",
     "MODELS",
+    "MSCA",
     "REFINEMENTS",
     "REGRESSIONS",
     "UPSAMPLERS",
@@ -65,9 +66,12 @@ __all__ = [
     "DisparityResult",
     "EncoderDecoder",
     "ExportedFile",
+    "FeaturePyramid",
     "GroupwiseCorrelationVolume",
     "Hourglass",
+    "ImageSuperpixelUpsampler",
     "InputError",
+    "InvertedResidualHourglass",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
     "Predictor",
@@ -87,6 +91,9 @@ __all__ = [
     "build_model",
     "coex",
     "gcnet",
+    "lightstereo_l",
+    "lightstereo_m",
+    "lightstereo_s",
     "list_components",
     "list_models",
     "list_weights",

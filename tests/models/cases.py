@@ -95,12 +95,20 @@ class Case:
     gradients_missing: tuple[str, ...] = ()
 
 
+def _lightstereo(size: str, parameters: int) -> Case:
+    taps = {"volume": Tap("cost", "2/2"), "aggregated": Tap("aggregation", item=-1)}
+    return Case(parameters=parameters, golden=Golden(f"lightstereo_{size}", norm=(0.5, 0.75), taps=taps))
+
+
 ELSEWHERE = "held to its recordings in tests/weights/test_published.py"
 
 CASES: dict[str, Case] = {
     "coex": Case(parameters=2_721_993, golden=ELSEWHERE),
     "psmnet": Case(parameters=5_224_768, golden=ELSEWHERE),
     "gcnet": Case(parameters=2_845_376, golden="no weights were published"),
+    "lightstereo_s": _lightstereo("s", 3_441_360),
+    "lightstereo_m": _lightstereo("m", 7_641_264),
+    "lightstereo_l": _lightstereo("l", 24_286_512),
 }
 
 
