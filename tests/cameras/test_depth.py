@@ -70,7 +70,7 @@ def test_background_is_the_smaller_neighbour(disparity):
             before = [other for other in row[:x] if np.isfinite(other)][-1:]
             after = [other for other in row[x + 1 :] if np.isfinite(other)][:1]
             expected = value if np.isfinite(value) else min(before + after, default=np.nan)
-            np.testing.assert_equal(result[x], expected)
+            np.testing.assert_array_equal(result[x], expected)
 
 
 READERS = {
