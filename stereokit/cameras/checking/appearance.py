@@ -36,8 +36,7 @@ def bit_depth_findings(views: tuple[npt.NDArray[Any], npt.NDArray[Any]]) -> Iter
                 "bit_depth",
                 "warning",
                 f"the {side} view uses 1/{1 / peak:.0f} of the range of its 16 bits, as images of {bits} bits do: "
-                "multiply "
-                f"its samples by {factor}",
+                f"multiply its samples by {factor}",
             )
 
 
@@ -60,8 +59,7 @@ def exposure_findings(
             "exposure",
             "warning",
             f"the right view is {brightness:.2f} times as bright as the left one: give both cameras one exposure and "
-            "gain, "
-            "or match histograms first",
+            "gain, or match histograms first",
         )
     for side, view in zip(_SIDES, grey, strict=True):
         for tone, share, remedy in (
@@ -73,8 +71,7 @@ def exposure_findings(
                     "clipped",
                     "warning",
                     f"{share:.0%} of the {side} view is {tone}, where nothing can be matched: {remedy} the exposure, "
-                    "or "
-                    "mask borders",
+                    "or mask borders",
                 )
 
 
@@ -87,8 +84,7 @@ def blur_findings(grey: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]])
                 "blur",
                 "warning",
                 f"the {side} view has {sharpness[i] / sharpness[1 - i]:.2f} times the sharpness of the other: clean "
-                "and focus "
-                "its lens, or look for motion blur or for noise in the other",
+                "and focus its lens, or look for motion blur or for noise in the other",
             )
 
 
@@ -104,6 +100,5 @@ def constant_row_findings(grey: tuple[npt.NDArray[np.float32], npt.NDArray[np.fl
                     "constant_rows",
                     "warning",
                     f"{counted(count, 'row')} at the {border} border of the {side} view hold one value: crop them off "
-                    "both "
-                    "views, and the calibration with them",
+                    "both views, and the calibration with them",
                 )

@@ -143,8 +143,7 @@ def _size_findings(
             "size",
             "unusable",
             f"the left view has {width} x {height} pixels, the right one {other[1]} x {other[0]}: give views of one "
-            "size, "
-            "neither cropped nor resized after rectification",
+            "size, neither cropped nor resized after rectification",
         )
     if calibration is not None:
         try:
@@ -163,8 +162,7 @@ def _unmatched_findings(
             "textureless",
             "unusable",
             f"the {' and the '.join(bare)} view {'has' if len(bare) == 1 else 'have'} next to no texture: check "
-            "exposure and "
-            "lens caps, or light the scene with a pattern",
+            "exposure and lens caps, or light the scene with a pattern",
         )
         return
     mirrored = match_views(_stretched(grey[0]), np.ascontiguousarray(_stretched(grey[1])[:, ::-1]))
@@ -175,8 +173,7 @@ def _unmatched_findings(
         "unrelated",
         "unusable",
         f"only {len(matches)} points of the left view are found in the right one: the views show different scenes or "
-        "moments, "
-        "or are too far apart",
+        "moments, or are too far apart",
     )
 
 

@@ -44,8 +44,7 @@ def arrangement_findings(matches: Matches, fit: RowFit, size: tuple[int, int]) -
             "swapped",
             "unusable",
             f"{1 - in_order:.0%} of the matches lie further right in the right view: the views are swapped, so "
-            "exchange "
-            "left and right; or both are mirrored, or turned by 180 degrees, so undo that",
+            "exchange left and right; or both are mirrored, or turned by 180 degrees, so undo that",
         )
 
 
@@ -75,8 +74,7 @@ def row_findings(fit: RowFit, size: tuple[int, int]) -> Iterator[Finding]:
             "unrectified",
             severity,
             f"matches lie {fit.scatter:.1f} px from one row, and neither shift, turn nor size explain it: rectify the "
-            "pair; "
-            "if it is rectified, check that both frames are of one moment",
+            "pair; if it is rectified, check that both frames are of one moment",
         )
 
 
@@ -96,8 +94,7 @@ def disparity_findings(
             f"{share:.0%} of the matches have a disparity below 0, down to {low:.1f} px, because the cameras are toed "
             "in or "
             f"one view was cropped: cut {shift} columns off the left of the right view and off the right of the left "
-            "one, "
-            f"and use calibration.cropped(left=0, left_of_right={shift}, ...){moved}",
+            f"one, and use calibration.cropped(left=0, left_of_right={shift}, ...){moved}",
         )
     if max_disparity is not None and high > THRESHOLDS.range_part * max_disparity:
         scale = max(math.floor(20 * THRESHOLDS.range_part * max_disparity / high) / 20, 0.05)
@@ -114,8 +111,7 @@ def disparity_findings(
                 "calibration",
                 "warning",
                 f"the calibration, with cx1 - cx0 = {calibration.doffs:g} px, puts {behind:.0%} of the matches behind "
-                "the "
-                "cameras: check that it belongs to these images, and to these crops of them",
+                "the cameras: check that it belongs to these images, and to these crops of them",
             )
 
 
