@@ -62,6 +62,7 @@ NOT_CORE = [
     "nncf",
     "tensorboard",
     "pandas",
+    "laspy",
 ]
 COSTLY = ["timm", "torchvision"]
 

@@ -6,11 +6,12 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias, TypeGuard
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from stereokit.cameras.versioned import check_version, is_count, read_number
 from stereokit.errors import InputError
 from stereokit.files import atomic_path
 
@@ -270,12 +271,12 @@ class Calibration:
         check_version(values, FORMAT, VERSION)
         numbers: dict[str, float] = {}
         for key in ("fx", "fy", "cx0", "cx1", "baseline"):
-            numbers[key] = _number(values, key)
+            numbers[key] = read_number(values, key)
         size = values.get("image_size")
-        if size is not None and not (isinstance(size, list) and len(size) == 2 and all(map(_is_count, size))):
+        if size is not None and not (isinstance(size, list) and len(size) == 2 and all(map(is_count, size))):
             raise InputError(f"expected image_size as [width, height] or null, got {str(size)[:80]}")
         width, height = size or (None, None)
-        cy = None if values.get("cy") is None else _number(values, "cy")
+        cy = None if values.get("cy") is None else read_number(values, "cy")
         return cls(**numbers, cy=cy, width=width, height=height)
 
     def write(self, path: PathLike, *, overwrite: bool = False) -> None:
@@ -315,25 +316,3 @@ class Calibration:
         result = np.full(values.shape, np.nan)
         np.divide(self.baseline * self.fx, values, out=result, where=known)
         return result.astype(dtype)
-
-
-def check_version(values: Mapping[str, Any], kind: str, newest: int) -> None:
-    """Raises `InputError` unless a file's content says that it is of this kind, in a version that is known."""
-    if values.get("format") != kind:
-        raise InputError(f"expected the format {kind!r}, got {str(values.get('format'))[:80]!r}")
-    version = values.get("version")
-    if not _is_count(version) or version > newest:
-        raise InputError(
-            f"the {kind} has version {str(version)[:40]}; this release reads up to {newest}, a newer one may read it"
-        )
-
-
-def _number(values: Mapping[str, Any], key: str) -> float:
-    value = values.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
-        raise InputError(f"expected a number for {key}, got {str(value)[:80]}")
-    return float(value)
-
-
-def _is_count(value: Any) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 < value < 10**9
