@@ -45,3 +45,11 @@ def test_shapes():
         occluded(np.zeros((1, 2)), np.zeros((1, 3)))
     with pytest.raises(InputError, match="tau"):
         occluded(np.zeros((1, 2)), np.zeros((1, 2)), tau=-1)
+
+
+@pytest.mark.parametrize("tau", [0.5, 2.0])
+def test_tau_is_the_largest_difference(tau):
+    right = np.full((1, 9), 3.0)
+    left = right.copy()
+    left[0, 6:] = 3 + tau, 3 + tau + 0.01, 3 - tau - 0.01
+    assert occluded(left, right, tau=tau)[0, 6:].tolist() == [False, True, True]

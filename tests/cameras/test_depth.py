@@ -117,3 +117,8 @@ def test_what_is_no_depth_is_not_written(tmp_path):
     with pytest.raises(InputError, match="exists already"):
         write_depth(tmp_path / "a.npy", [[1.0]])
     assert [path.name for path in tmp_path.iterdir()] == ["a.npy"]
+
+
+def test_the_farthest_that_millimetres_hold(tmp_path):
+    assert write_depth(tmp_path / "a.png", [[65.535, 65.536]]) == 1
+    assert cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED).tolist() == [[65535, 0]]
