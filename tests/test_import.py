@@ -64,6 +64,7 @@ NOT_CORE = [
     "nncf",
     "tensorboard",
     "pandas",
+    "laspy",
 ]
 COSTLY = ["timm", "torchvision"]
 
