@@ -1,10 +1,9 @@
-"""Cameras: calibration and its files. What works on images and disparity stands in the modules beside:
+"""From two cameras to metric depth: rigs, rectification, the check of a pair, depth and point clouds.
 
-`depth` (metres out of disparity), `cloud` (points in space), `consistency` (left-right check), `checking` (whether a
-pair can be matched). They use `stereokit.data`, which uses `Calibration`; so they are not imported here.
+`stereokit.calibration` has the cameras of a rectified pair and their files. What needs more is imported from its own
+module: `depth`, `cloud`, `consistency`, `checking`, `rig`, `rectification`, `boards`, `calibrating`.
 """
 
-from stereokit.cameras.calibration import Calibration
-from stereokit.cameras.files import read_calibration, write_calibration
+from stereokit.calibration import Calibration, read_calibration, write_calibration
 
 __all__ = ["Calibration", "read_calibration", "write_calibration"]

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.cameras.calibration import Calibration, PathLike
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.cameras.cloud_formats.las import write_las
 from stereokit.cameras.cloud_formats.pcd import write_pcd
 from stereokit.cameras.cloud_formats.ply import write_ply

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.cameras.calibration import Calibration, PathLike
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.data.images import write_samples
 from stereokit.errors import InputError
 from stereokit.files import atomic_path

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.cameras.calibration import Calibration
+from stereokit.calibration.rectified import Calibration
 from stereokit.cameras.rig import Camera, Rig
 from stereokit.errors import InputError
 

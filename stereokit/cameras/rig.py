@@ -10,11 +10,11 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.cameras.calibration import PathLike
-from stereokit.cameras.formats.documents import read_document
-from stereokit.cameras.formats.kalibr import KalibrCamera, read_kalibr
-from stereokit.cameras.formats.text import named, numbers
-from stereokit.cameras.versioned import check_version
+from stereokit.calibration.formats.documents import read_document
+from stereokit.calibration.formats.kalibr import KalibrCamera, read_kalibr
+from stereokit.calibration.formats.text import named, numbers
+from stereokit.calibration.rectified import PathLike
+from stereokit.calibration.versioned import check_version
 from stereokit.errors import InputError
 from stereokit.files import atomic_path
 

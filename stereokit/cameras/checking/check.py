@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.cameras.calibration import Calibration
+from stereokit.calibration.rectified import Calibration
 from stereokit.cameras.checking.appearance import (
     as_grey,
     bit_depth_findings,

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stereokit.cameras.calibration import Calibration
+from stereokit.calibration.rectified import Calibration
 from stereokit.cameras.checking.findings import Finding, Severity
 from stereokit.cameras.checking.matching import Matches, RowFit
 from stereokit.cameras.checking.thresholds import THRESHOLDS

@@ -5,26 +5,26 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from stereokit.cameras.calibration import FORMAT, Calibration, PathLike
-from stereokit.cameras.formats.documents import read_document
-from stereokit.cameras.formats.foundation_stereo import (
+from stereokit.calibration.formats.documents import read_document
+from stereokit.calibration.formats.foundation_stereo import (
     looks_like_foundation_stereo,
     read_foundation_stereo_calibration,
     write_foundation_stereo_calibration,
 )
-from stereokit.cameras.formats.kitti import (
+from stereokit.calibration.formats.kitti import (
     read_drivingstereo_calibration,
     read_kitti_calibration,
     write_kitti_calibration,
 )
-from stereokit.cameras.formats.middlebury import (
+from stereokit.calibration.formats.middlebury import (
     MILLIMETRE,
     read_middlebury_calibration,
     write_middlebury_calibration,
 )
-from stereokit.cameras.formats.opencv import read_opencv_calibration, write_opencv_calibration
-from stereokit.cameras.formats.ros import read_ros_calibration, ros_pair, write_ros_calibration
-from stereokit.cameras.formats.text import keyed_lines, named, read_text
+from stereokit.calibration.formats.opencv import read_opencv_calibration, write_opencv_calibration
+from stereokit.calibration.formats.ros import read_ros_calibration, ros_pair, write_ros_calibration
+from stereokit.calibration.formats.text import keyed_lines, named, read_text
+from stereokit.calibration.rectified import FORMAT, Calibration, PathLike
 from stereokit.errors import InputError
 
 __all__ = ["WRITERS", "read_calibration", "write_calibration"]

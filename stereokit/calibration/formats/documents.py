@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any, TypeGuard
 from xml.etree import ElementTree
 
-from stereokit.cameras.calibration import PathLike
-from stereokit.cameras.formats.text import named, numbers, read_text
-from stereokit.cameras.formats.yaml_subset import parse_yaml
+from stereokit.calibration.formats.text import named, numbers, read_text
+from stereokit.calibration.formats.yaml_subset import parse_yaml
+from stereokit.calibration.rectified import PathLike
 from stereokit.errors import InputError
 
 __all__ = ["find_size", "is_matrix", "matrix", "read_document"]

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.cameras.versioned import check_version, is_count, read_number
+from stereokit.calibration.versioned import check_version, is_count, read_number
 from stereokit.errors import InputError
 from stereokit.files import atomic_path
 

@@ -5,8 +5,7 @@ import os
 import re
 from dataclasses import replace
 
-from stereokit.cameras.calibration import Calibration, PathLike
-from stereokit.cameras.formats.text import (
+from stereokit.calibration.formats.text import (
     keyed_lines,
     named,
     needed,
@@ -17,6 +16,7 @@ from stereokit.cameras.formats.text import (
     row,
     write_text,
 )
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.errors import InputError
 
 __all__ = ["read_drivingstereo_calibration", "read_kitti_calibration", "write_kitti_calibration"]

@@ -2,8 +2,8 @@
 
 import os
 
-from stereokit.cameras.calibration import Calibration, PathLike
-from stereokit.cameras.formats.text import named, numbers, read_text, row, write_text
+from stereokit.calibration.formats.text import named, numbers, read_text, row, write_text
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.errors import InputError
 
 __all__ = ["looks_like_foundation_stereo", "read_foundation_stereo_calibration", "write_foundation_stereo_calibration"]

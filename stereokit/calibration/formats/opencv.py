@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stereokit.cameras.calibration import Calibration, PathLike
-from stereokit.cameras.formats.documents import find_size, is_matrix, matrix, read_document
-from stereokit.cameras.formats.text import named, projection, rectified, write_text
+from stereokit.calibration.formats.documents import find_size, is_matrix, matrix, read_document
+from stereokit.calibration.formats.text import named, projection, rectified, write_text
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.errors import InputError
 
 __all__ = ["SUFFIXES", "read_opencv_calibration", "write_opencv_calibration"]

@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from stereokit.cameras.calibration import Calibration, PathLike
-from stereokit.cameras.formats.documents import find_size, matrix, read_document
-from stereokit.cameras.formats.text import projection, rectified, row
+from stereokit.calibration.formats.documents import find_size, matrix, read_document
+from stereokit.calibration.formats.text import projection, rectified, row
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.errors import InputError
 from stereokit.files import atomic_path
 

@@ -1,7 +1,7 @@
 """Middlebury's and ETH3D's `calib.txt`: camera matrices, in millimetres."""
 
-from stereokit.cameras.calibration import Calibration, PathLike
-from stereokit.cameras.formats.text import keyed_lines, needed, numbers, read_text, rectified, row, write_text
+from stereokit.calibration.formats.text import keyed_lines, needed, numbers, read_text, rectified, row, write_text
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.errors import InputError
 
 __all__ = ["MILLIMETRE", "read_middlebury_calibration", "write_middlebury_calibration"]

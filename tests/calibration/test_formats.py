@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stereokit.calibration.formats.foundation_stereo import read_foundation_stereo_calibration
+from stereokit.calibration.formats.kitti import read_kitti_calibration
+from stereokit.calibration.formats.middlebury import read_middlebury_calibration
+from stereokit.calibration.formats.opencv import read_opencv_calibration
+from stereokit.calibration.formats.ros import read_ros_calibration
+from stereokit.calibration.formats.yaml_subset import parse_yaml
 from stereokit.cameras import Calibration, read_calibration, write_calibration
-from stereokit.cameras.formats.foundation_stereo import read_foundation_stereo_calibration
-from stereokit.cameras.formats.kitti import read_kitti_calibration
-from stereokit.cameras.formats.middlebury import read_middlebury_calibration
-from stereokit.cameras.formats.opencv import read_opencv_calibration
-from stereokit.cameras.formats.ros import read_ros_calibration
-from stereokit.cameras.formats.yaml_subset import parse_yaml
 from stereokit.errors import InputError
 from tests.data.hostile import damaged, outcome
 from tests.shared import SHARED, needs_shared

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from stereokit.cameras.calibration import Calibration, PathLike
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.errors import InputError
 from stereokit.files import atomic_path
 

@@ -7,8 +7,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.cameras.calibration import PathLike
-from stereokit.cameras.formats.text import numbers
+from stereokit.calibration.formats.text import numbers
+from stereokit.calibration.rectified import PathLike
 from stereokit.errors import InputError
 
 __all__ = ["KalibrCamera", "read_kalibr"]
