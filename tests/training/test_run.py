@@ -608,7 +608,7 @@ def test_the_command_explains(tmp_path, capsys):
     assert main(["train", "--recipe", "synthetic", "--out", str(tmp_path / "run"), "--devices", "two"]) == 2
     assert "--devices is a number of devices, or auto" in capsys.readouterr().err
     assert main(["train", "--recipe", "synthetic", "--out", str(tmp_path / "run"), "--top-k", "7"]) == 2
-    assert "--top-k are for published checkpoints; give --weights" in capsys.readouterr().err
+    assert "--top-k can only be given for published checkpoints; use --weights" in capsys.readouterr().err
     assert main(["train", "--recipe", "sceneflow", "--out", str(tmp_path / "run")]) == 2
     assert "give --data sceneflow/train:ROOT" in capsys.readouterr().err
 
