@@ -92,12 +92,7 @@ def build_model(model: str | Mapping[str, Any], *, pretrained: bool | str = Fals
         model = {"name": model}
     elif pretrained:
         raise ConfigError("pretrained weights belong to a network's name, not to a configuration")
-    network = rebuild(model, **overrides)
-    if not isinstance(network, StereoNetwork):
-        raise ConfigError(
-            f"model {model['name']!r} is a {type(network).__name__}, not a StereoNetwork; derive its class from "
-            "stereokit.StereoNetwork"
-        )
+    network: StereoNetwork = rebuild(model, **overrides)
     return network
 
 
