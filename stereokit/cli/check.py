@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from pathlib import Path
 
 from stereokit.calibration import read_calibration
 from stereokit.cameras.checking import check_pair, matches_picture
@@ -37,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
         StereoKitError: files that can't be read or written.
     """
     if options.picture is not None:
-        check_free([options.picture], overwrite=options.overwrite)
+        check_free([Path(options.picture)], overwrite=options.overwrite)
     calibration = None if options.calibration is None else read_calibration(options.calibration)
     views = read_image(options.left), read_image(options.right)
     found = check_pair(*views, calibration, options.max_disparity)
