@@ -1,8 +1,8 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
-from stereokit.aggregation import EncoderDecoder, Hourglass, StackedHourglass
-from stereokit.backbones import ResidualTower, SpatialPyramid, UNet
+from stereokit.aggregation import EncoderDecoder, GwcHourglass, Hourglass, StackedHourglass
+from stereokit.backbones import FeaturePyramid, GwcTrunk, ResidualTower, SpatialPyramid, UNet
 from stereokit.builder import build_model
 from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
@@ -18,7 +18,7 @@ from stereokit.guidance import GCE, AdditiveGuidance, NeighborhoodAggregation
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
-from stereokit.models import coex, gcnet, psmnet
+from stereokit.models import casstereo_gwc, casstereo_psm, coex, gcnet, gwcnet_g, gwcnet_gc, psmnet
 from stereokit.network import StereoNetwork
 from stereokit.registry import (
     AGGREGATIONS,
@@ -63,7 +63,10 @@ __all__ = [
     "DisparityRange",
     "DisparityResult",
     "EncoderDecoder",
+    "FeaturePyramid",
     "GroupwiseCorrelationVolume",
+    "GwcHourglass",
+    "GwcTrunk",
     "Hourglass",
     "InputError",
     "NeighborhoodAggregation",
@@ -83,8 +86,12 @@ __all__ = [
     "UniformCandidates",
     "__version__",
     "build_model",
+    "casstereo_gwc",
+    "casstereo_psm",
     "coex",
     "gcnet",
+    "gwcnet_g",
+    "gwcnet_gc",
     "list_components",
     "list_models",
     "list_weights",

@@ -1,7 +1,8 @@
 """Cost volumes to logits over disparity."""
 
 from stereokit.aggregation.encoder_decoder import EncoderDecoder
+from stereokit.aggregation.gwc_hourglass import GwcHourglass
 from stereokit.aggregation.hourglass import Hourglass
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
 
-__all__ = ["EncoderDecoder", "Hourglass", "StackedHourglass"]
+__all__ = ["EncoderDecoder", "GwcHourglass", "Hourglass", "StackedHourglass"]

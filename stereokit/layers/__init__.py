@@ -11,7 +11,7 @@ from stereokit.layers.convolution import (
     named_activation,
     relu,
 )
-from stereokit.layers.residual import ResidualBlock
+from stereokit.layers.residual import ResidualBlock, residual_layer
 from stereokit.layers.warp import warp
 
 __all__ = [
@@ -26,5 +26,6 @@ __all__ = [
     "leaky_relu",
     "named_activation",
     "relu",
+    "residual_layer",
     "warp",
 ]
