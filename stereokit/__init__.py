@@ -2,7 +2,7 @@
 
 from stereokit._version import __version__
 from stereokit.aggregation import EncoderDecoder, GwcHourglass, Hourglass, StackedHourglass
-from stereokit.backbones import FeaturePyramid, GwcTrunk, ResidualTower, SpatialPyramid, UNet
+from stereokit.backbones import GwcTrunk, ResidualTower, SpatialPyramid, TopDownPyramid, UNet
 from stereokit.builder import build_model
 from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
@@ -63,7 +63,6 @@ __all__ = [
     "DisparityRange",
     "DisparityResult",
     "EncoderDecoder",
-    "FeaturePyramid",
     "GroupwiseCorrelationVolume",
     "GwcHourglass",
     "GwcTrunk",
@@ -81,6 +80,7 @@ __all__ = [
     "StereoNetwork",
     "StereoOutput",
     "SuperpixelUpsampler",
+    "TopDownPyramid",
     "TopKSoftArgmin",
     "UNet",
     "UniformCandidates",

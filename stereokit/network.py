@@ -273,10 +273,10 @@ def check_least_size(height: int, width: int, least: int = MIN_SIZE) -> None:
 def per_channel(name: str, values: Sequence[float], *, positive: bool = False) -> Tensor:
     """One number per RGB channel, as (3, 1, 1)."""
     try:
-        numbers = [float(value) for value in values if not isinstance(value, str)]
+        numbers = [] if isinstance(values, str) else [float(value) for value in values]
     except (TypeError, ValueError):
         numbers = []
-    # in plain numbers, so that networks are built on the meta device too
+    # looked at as numbers, for the device at hand may hold tensors without data
     if len(numbers) != 3 or not all(map(math.isfinite, numbers)) or (positive and min(numbers) <= 0):
         kind = "positive numbers" if positive else "numbers"
         raise ConfigError(f"{name} is three {kind}, one per RGB channel; got {values!r}")

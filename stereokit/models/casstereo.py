@@ -24,7 +24,7 @@ casstereo_psm = recipe(
     "casstereo_psm",
     "Spatial pyramid features at strides 4 and 2, concatenation around the disparity before, three hourglasses twice.",
     backbone={
-        "name": "feature_pyramid",
+        "name": "top_down_pyramid",
         "base": {"name": "spatial_pyramid", "bias": True, "full_size": True},
         "finest": 2,
     },
@@ -36,7 +36,7 @@ casstereo_gwc = recipe(
     "casstereo_gwc",
     "Three residual layers concatenated, at strides 4 and 2, GwcNet's volume around the disparity before, hourglasses.",
     backbone={
-        "name": "feature_pyramid",
+        "name": "top_down_pyramid",
         "base": {"name": "gwc_trunk", "full_size": True},
         "finest": 2,
         "smooth": False,

@@ -11,11 +11,11 @@ from stereokit.errors import ConfigError
 from stereokit.layers import init_convolutions
 from stereokit.registry import BACKBONES
 
-__all__ = ["FeaturePyramid"]
+__all__ = ["TopDownPyramid"]
 
 
-@BACKBONES.register("feature_pyramid")
-class FeaturePyramid(nn.Module):
+@BACKBONES.register("top_down_pyramid")
+class TopDownPyramid(nn.Module):
     """The coarsest matching features of another backbone, carried down to finer strides, for cascades.
 
     On the way from a stride to half of it, the map is doubled by repetition, and the guide of that stride is added
@@ -37,7 +37,7 @@ class FeaturePyramid(nn.Module):
     section 3.3; Lin et al., "Feature pyramid networks for object detection", CVPR 2017.
 
     >>> import torch
-    >>> pyramid = FeaturePyramid(base="spatial_pyramid")
+    >>> pyramid = TopDownPyramid(base="spatial_pyramid")
     >>> {s: tuple(m.shape[1:]) for s, m in pyramid.eval()(torch.rand(1, 3, 64, 96)).matching.items()}
     {4: (32, 16, 24), 2: (16, 32, 48)}
     """
@@ -49,7 +49,9 @@ class FeaturePyramid(nn.Module):
         arguments = {"name": base} if isinstance(base, str) else dict(base)
         name = arguments.pop("name", None)
         if not isinstance(name, str):
-            raise ConfigError(f"the base of a feature pyramid is a name, or {{'name': ..., **arguments}}; got {base!r}")
+            raise ConfigError(
+                f"the base of a top-down pyramid is a name, or {{'name': ..., **arguments}}; got {base!r}"
+            )
         if pretrained and "pretrained" not in BACKBONES.parameters(name):
             raise ConfigError(f"backbone {name!r} has no pretrained weights to load; leave out pretrained_backbone")
         self.base: Backbone = BACKBONES.build(name, arguments, {"pretrained": pretrained})
@@ -62,7 +64,7 @@ class FeaturePyramid(nn.Module):
         lacking = [s for s in self.strides if s not in given.guide_channels]
         if not self.strides or self.strides[-1] != finest or lacking:
             raise ConfigError(
-                f"a feature pyramid from stride {self.coarsest} to finest={finest} wants guides at each stride down to "
+                f"a top-down pyramid from stride {self.coarsest} to finest={finest} wants guides at each stride down to "
                 f"there, but backbone {name!r} has them at {', '.join(map(str, sorted(given.guide_channels)))}"
             )
         matching = {self.coarsest: channels} | {s: channels * s // self.coarsest for s in self.strides}
