@@ -1,8 +1,8 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
-from stereokit.aggregation import EncoderDecoder, GwcHourglass, Hourglass, StackedHourglass
-from stereokit.backbones import GwcTrunk, ResidualTower, SpatialPyramid, TopDownPyramid, UNet
+from stereokit.aggregation import EncoderDecoder, GwcHourglass, Hourglass, InvertedResidualHourglass, StackedHourglass
+from stereokit.backbones import FeaturePyramid, GwcTrunk, ResidualTower, SpatialPyramid, TopDownPyramid, UNet
 from stereokit.builder import build_model
 from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
@@ -14,11 +14,22 @@ from stereokit.costs import (
     GroupwiseCorrelationVolume,
 )
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
-from stereokit.guidance import GCE, AdditiveGuidance, NeighborhoodAggregation
+from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregation
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
-from stereokit.models import casstereo_gwc, casstereo_psm, coex, gcnet, gwcnet_g, gwcnet_gc, psmnet
+from stereokit.models import (
+    casstereo_gwc,
+    casstereo_psm,
+    coex,
+    gcnet,
+    gwcnet_g,
+    gwcnet_gc,
+    lightstereo_l,
+    lightstereo_m,
+    lightstereo_s,
+    psmnet,
+)
 from stereokit.network import StereoNetwork
 from stereokit.registry import (
     AGGREGATIONS,
@@ -36,8 +47,9 @@ from stereokit.registry import (
     list_models,
 )
 from stereokit.regression import SoftArgmin, TopKSoftArgmin
-from stereokit.upsampling import SuperpixelUpsampler
+from stereokit.upsampling import ImageSuperpixelUpsampler, SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
+from stereokit.weights.opening import ExportedFile, open_network
 from stereokit.weights.published import load_published
 
 __all__ = [
@@ -49,6 +61,7 @@ __all__ = [
     "GUIDANCE",
     "LOSSES",
     "MODELS",
+    "MSCA",
     "REFINEMENTS",
     "REGRESSIONS",
     "UPSAMPLERS",
@@ -63,11 +76,15 @@ __all__ = [
     "DisparityRange",
     "DisparityResult",
     "EncoderDecoder",
+    "ExportedFile",
+    "FeaturePyramid",
     "GroupwiseCorrelationVolume",
     "GwcHourglass",
     "GwcTrunk",
     "Hourglass",
+    "ImageSuperpixelUpsampler",
     "InputError",
+    "InvertedResidualHourglass",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
     "Predictor",
@@ -92,11 +109,15 @@ __all__ = [
     "gcnet",
     "gwcnet_g",
     "gwcnet_gc",
+    "lightstereo_l",
+    "lightstereo_m",
+    "lightstereo_s",
     "list_components",
     "list_models",
     "list_weights",
     "load_published",
     "load_weights",
+    "open_network",
     "psmnet",
     "stereo_loss",
 ]

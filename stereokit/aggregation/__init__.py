@@ -3,6 +3,13 @@
 from stereokit.aggregation.encoder_decoder import EncoderDecoder
 from stereokit.aggregation.gwc_hourglass import GwcHourglass
 from stereokit.aggregation.hourglass import Hourglass
+from stereokit.aggregation.inverted_residual import InvertedResidualHourglass
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
 
-__all__ = ["EncoderDecoder", "GwcHourglass", "Hourglass", "StackedHourglass"]
+__all__ = [
+    "EncoderDecoder",
+    "GwcHourglass",
+    "Hourglass",
+    "InvertedResidualHourglass",
+    "StackedHourglass",
+]

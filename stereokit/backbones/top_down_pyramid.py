@@ -50,7 +50,7 @@ class TopDownPyramid(nn.Module):
         name = arguments.pop("name", None)
         if not isinstance(name, str):
             raise ConfigError(
-                f"the base of a top-down pyramid is a name, or {{'name': ..., **arguments}}; got {base!r}"
+                f"the base of a pyramid is the name of a backbone, or {{'name': ..., **arguments}}; got {base!r}"
             )
         if pretrained and "pretrained" not in BACKBONES.parameters(name):
             raise ConfigError(f"backbone {name!r} has no pretrained weights to load; leave out pretrained_backbone")
@@ -64,8 +64,8 @@ class TopDownPyramid(nn.Module):
         lacking = [s for s in self.strides if s not in given.guide_channels]
         if not self.strides or self.strides[-1] != finest or lacking:
             raise ConfigError(
-                f"a top-down pyramid from stride {self.coarsest} to finest={finest} wants guides at each stride down to "
-                f"there, but backbone {name!r} has them at {', '.join(map(str, sorted(given.guide_channels)))}"
+                f"a pyramid from stride {self.coarsest} to finest={finest} wants guides at each stride down to there, "
+                f"but backbone {name!r} has them at {', '.join(map(str, sorted(given.guide_channels)))}"
             )
         matching = {self.coarsest: channels} | {s: channels * s // self.coarsest for s in self.strides}
         self.laterals = nn.ModuleDict({str(s): nn.Conv2d(given.guide_channels[s], channels, 1) for s in self.strides})

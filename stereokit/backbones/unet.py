@@ -7,24 +7,10 @@ from torch import Tensor, nn
 
 from stereokit.backbones.encoder import build_encoder
 from stereokit.contracts import FeatureInfo, Features
-from stereokit.layers import ConvNormAct, crop_to, relu
+from stereokit.layers import ConvNormAct, UpStep, relu
 from stereokit.registry import BACKBONES
 
 __all__ = ["UNet"]
-
-
-class UpStep(nn.Module):
-    """One step of the decoder: upsample, concatenate the finer skip, convolve."""
-
-    def __init__(self, in_channels: int, skip_channels: int) -> None:
-        super().__init__()
-        self.out_channels = 2 * skip_channels
-        self.up = ConvNormAct(in_channels, skip_channels, 4, stride=2, transposed=True)
-        self.merge = ConvNormAct(self.out_channels, self.out_channels)
-
-    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
-        """Coarse (B, C, h, w) and skip (B, S, 2h, 2w) to (B, out_channels, 2h, 2w)."""
-        return self.merge(torch.cat((crop_to(self.up(x), skip), skip), dim=1))
 
 
 def image_stem(in_channels: int, out_channels: int) -> nn.Sequential:
@@ -71,9 +57,9 @@ class UNet(nn.Module):
         skips = self.encoder.channels
         self.stem_2 = image_stem(3, stem2)
         self.stem_4 = image_stem(stem2, stem4)
-        self.up_16 = UpStep(skips[32], skips[16])
-        self.up_8 = UpStep(self.up_16.out_channels, skips[8])
-        self.up_4 = UpStep(self.up_8.out_channels, skips[4])
+        self.up_16 = UpStep(skips[32], skips[16], 2 * skips[16])
+        self.up_8 = UpStep(self.up_16.out_channels, skips[8], 2 * skips[8])
+        self.up_4 = UpStep(self.up_8.out_channels, skips[4], 2 * skips[4])
         self.merge_4 = ConvNormAct(self.up_4.out_channels, self.up_4.out_channels)
         matching = self.up_4.out_channels + stem4
         self.info = FeatureInfo(

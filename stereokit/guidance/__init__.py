@@ -1,11 +1,13 @@
 """Ways in which image features guide the aggregation of a cost volume."""
 
 from stereokit.guidance.excitation import GCE, AdditiveGuidance, excite
+from stereokit.guidance.multi_scale_attention import MSCA
 from stereokit.guidance.neighborhood import NeighborhoodAggregation, neighborhood_sum
 from stereokit.guidance.point import GuidancePlan, GuidancePoint, NoGuidance
 
 __all__ = [
     "GCE",
+    "MSCA",
     "AdditiveGuidance",
     "GuidancePlan",
     "GuidancePoint",

@@ -75,6 +75,10 @@ class GuidancePoint(nn.Module):
         """The volume, guided by the map of its stride."""
         return self.block(volume, guides[self.stride]) if self.guide_channels else volume
 
+    def on_maps(self, maps: Tensor, guides: Guides) -> Tensor:
+        """Maps (B, C, H, W) in place of a volume: guided as one of depth 1."""
+        return self(maps.unsqueeze(2), guides).squeeze(2) if self.guide_channels else maps
+
 
 @dataclass(frozen=True)
 class GuidancePlan:

@@ -11,14 +11,18 @@ from stereokit.layers.convolution import (
     named_activation,
     relu,
 )
+from stereokit.layers.inverted_residual import InvertedResidual
 from stereokit.layers.residual import ResidualBlock, residual_layer
+from stereokit.layers.up_step import UpStep
 from stereokit.layers.warp import warp
 
 __all__ = [
     "Activation",
     "ConvNormAct",
+    "InvertedResidual",
     "Norm",
     "ResidualBlock",
+    "UpStep",
     "as_float",
     "at_least_float32",
     "crop_to",

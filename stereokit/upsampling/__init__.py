@@ -1,5 +1,6 @@
 """Logits or disparity to a finer resolution."""
 
+from stereokit.upsampling.image_superpixel import ImageSuperpixelUpsampler
 from stereokit.upsampling.interpolation import (
     BilinearUpsampler,
     NoUpsampler,
@@ -11,6 +12,7 @@ from stereokit.upsampling.superpixel import SuperpixelUpsampler, superpixel_upsa
 
 __all__ = [
     "BilinearUpsampler",
+    "ImageSuperpixelUpsampler",
     "NoUpsampler",
     "SuperpixelUpsampler",
     "TrilinearUpsampler",

@@ -14,7 +14,7 @@ from stereokit.errors import ConfigError, InputError
 from stereokit.layers import ConvNormAct, at_least_float32, crop_to, init_convolutions, relu
 from stereokit.registry import UPSAMPLERS
 
-__all__ = ["SuperpixelUpsampler", "superpixel_upsample"]
+__all__ = ["SuperpixelUpsampler", "Superpixels", "superpixel_upsample"]
 
 Padding = Literal["replicate", "zeros"]
 
@@ -103,8 +103,48 @@ class _WeighedNeighbors(torch.autograd.Function):
         return of_padded, of_cells
 
 
+class Superpixels(nn.Module):
+    """What superpixel upsamplers share; each has its own `weights`.
+
+    Args:
+        scale: by which the disparity grows, a power of two from 2 up.
+        guide_channels: of the guides at hand, by stride; the one at the disparity's is needed.
+        stride: of the disparity; None for `scale`, which ends at full resolution.
+        padding: outside the coarse map, see `superpixel_upsample`.
+
+    Raises:
+        ConfigError: there is no guide at this stride, the stride is no power of two, or the padding is unknown.
+    """
+
+    domain: Literal["disparity"] = "disparity"
+    learned = True
+
+    def __init__(self, *, scale: int, guide_channels: Mapping[int, int], stride: int | None, padding: Padding) -> None:
+        super().__init__()
+        if padding not in get_args(Padding):
+            raise ConfigError(f"padding={padding!r} is unknown; use 'replicate' or 'zeros'")
+        if scale < 2 or scale & (scale - 1):
+            raise ConfigError(f"superpixel upsampling is by 2, 4, 8, ...; the disparity is to grow by {scale}")
+        self.scale = scale
+        self.stride = scale if stride is None else stride
+        self.padding: Padding = padding
+        if self.stride not in guide_channels:
+            raise ConfigError(
+                f"superpixel upsampling from stride {self.stride} wants a guide of that stride; there are guides at "
+                f"{', '.join(map(str, guide_channels)) or 'none'}"
+            )
+
+    def weights(self, guides: Guides) -> Tensor:
+        """Superpixel weights (B, 9, H, W), which sum to 1."""
+        raise NotImplementedError
+
+    def forward(self, x: Tensor, guides: Guides) -> Tensor:
+        """(B, h, w) to (B, H, W)."""
+        return superpixel_upsample(x, self.weights(guides), padding=self.padding)
+
+
 @UPSAMPLERS.register("superpixel")
-class SuperpixelUpsampler(nn.Module):
+class SuperpixelUpsampler(Superpixels):
     """Predicts superpixel weights from the guides and upsamples the disparity with them.
 
     From the guide at the disparity's stride, a small decoder doubles the size until it is full; it takes in the guides
@@ -129,9 +169,6 @@ class SuperpixelUpsampler(nn.Module):
     torch.Size([1, 32, 64])
     """
 
-    domain: Literal["disparity"] = "disparity"
-    learned = True
-
     def __init__(
         self,
         *,
@@ -140,20 +177,8 @@ class SuperpixelUpsampler(nn.Module):
         stride: int | None = None,
         padding: Padding = "replicate",
     ) -> None:
-        super().__init__()
-        if padding not in get_args(Padding):
-            raise ConfigError(f"padding={padding!r} is unknown; use 'replicate' or 'zeros'")
-        if scale < 2 or scale & (scale - 1):
-            raise ConfigError(f"superpixel upsampling is by 2, 4, 8, ...; the disparity is to grow by {scale}")
-        stride = scale if stride is None else stride
-        if stride not in guide_channels:
-            raise ConfigError(
-                f"superpixel upsampling from stride {stride} wants a guide of that stride; there are guides at "
-                f"{', '.join(map(str, guide_channels)) or 'none'}"
-            )
-        self.scale = scale
-        self.stride = stride
-        self.padding: Padding = padding
+        super().__init__(scale=scale, guide_channels=guide_channels, stride=stride, padding=padding)
+        stride = self.stride
         self.strides = [stride >> i for i in range(1, scale.bit_length() - 1)]
         self.guide_channels = {s: guide_channels[s] for s in (stride, *self.strides) if s in guide_channels}
         self.stem = nn.Sequential(ConvNormAct(guide_channels[stride], 24), ConvNormAct(24, 24, activation=relu))
@@ -176,7 +201,3 @@ class SuperpixelUpsampler(nn.Module):
                 x = torch.cat((crop_to(x, guides[stride]), guides[stride]), dim=1)
             x = merge(x)
         return at_least_float32(self.head(x)).softmax(1)
-
-    def forward(self, x: Tensor, guides: Guides) -> Tensor:
-        """(B, h, w) to (B, H, W)."""
-        return superpixel_upsample(x, self.weights(guides), padding=self.padding)
