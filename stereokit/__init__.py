@@ -1,8 +1,8 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
-from stereokit.aggregation import EncoderDecoder, Hourglass, InvertedResidualHourglass, StackedHourglass
-from stereokit.backbones import FeaturePyramid, ResidualTower, SpatialPyramid, UNet
+from stereokit.aggregation import EncoderDecoder, GwcHourglass, Hourglass, InvertedResidualHourglass, StackedHourglass
+from stereokit.backbones import FeaturePyramid, GwcTrunk, ResidualTower, SpatialPyramid, TopDownPyramid, UNet
 from stereokit.builder import build_model
 from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
@@ -18,7 +18,18 @@ from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregat
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
-from stereokit.models import coex, gcnet, lightstereo_l, lightstereo_m, lightstereo_s, psmnet
+from stereokit.models import (
+    casstereo_gwc,
+    casstereo_psm,
+    coex,
+    gcnet,
+    gwcnet_g,
+    gwcnet_gc,
+    lightstereo_l,
+    lightstereo_m,
+    lightstereo_s,
+    psmnet,
+)
 from stereokit.network import StereoNetwork
 from stereokit.registry import (
     AGGREGATIONS,
@@ -68,6 +79,8 @@ __all__ = [
     "ExportedFile",
     "FeaturePyramid",
     "GroupwiseCorrelationVolume",
+    "GwcHourglass",
+    "GwcTrunk",
     "Hourglass",
     "ImageSuperpixelUpsampler",
     "InputError",
@@ -84,13 +97,18 @@ __all__ = [
     "StereoNetwork",
     "StereoOutput",
     "SuperpixelUpsampler",
+    "TopDownPyramid",
     "TopKSoftArgmin",
     "UNet",
     "UniformCandidates",
     "__version__",
     "build_model",
+    "casstereo_gwc",
+    "casstereo_psm",
     "coex",
     "gcnet",
+    "gwcnet_g",
+    "gwcnet_gc",
     "lightstereo_l",
     "lightstereo_m",
     "lightstereo_s",

@@ -160,7 +160,7 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     pretrained = bool(overrides.pop("pretrained_backbone", False))
     expand_shorthands(overrides)
     _check_names(recipe, presets, overrides)
-    choice: dict[str, Any] = {**recipe, **overrides}
+    choice: dict[str, Any] = {**recipe, **{key: _completed(recipe.get(key), o) for key, o in overrides.items()}}
     _check_effects(recipe, overrides)
     seen = Choice("backbone", choice["backbone"], recipe["backbone"], presets)
     backbone = cast(Backbone, seen.build(pretrained=pretrained))
@@ -206,6 +206,12 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
         ),
         config=as_json({**choice, **parts}),
     )
+
+
+def _completed(component: Any, override: Any) -> Any:
+    """A choice without a name, which changes arguments of the recipe's own component, in full."""
+    nameless = isinstance(override, Mapping) and not {"name", "instance"} & override.keys()
+    return {**component, **override} if nameless and isinstance(component, Mapping) else override
 
 
 def _build_stage(

@@ -4,7 +4,7 @@ from torch import Tensor, nn
 
 from stereokit.layers.convolution import Activation, ConvNormAct, relu
 
-__all__ = ["ResidualBlock"]
+__all__ = ["ResidualBlock", "residual_layer"]
 
 
 class ResidualBlock(nn.Module):
@@ -39,3 +39,18 @@ class ResidualBlock(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, in_channels, H, W) to (B, out_channels, H / stride, W / stride)."""
         return self.conv2(self.conv1(x)) + self.skip(x)
+
+
+def residual_layer(
+    in_channels: int, out_channels: int, blocks: int, *, stride: int = 1, dilation: int = 1
+) -> nn.Sequential:
+    """Residual blocks in a row; the first one changes size and width.
+
+    >>> import torch
+    >>> residual_layer(8, 16, 3, stride=2)(torch.rand(1, 8, 6, 10)).shape
+    torch.Size([1, 16, 3, 5])
+    """
+    first = ResidualBlock(in_channels, out_channels, stride=stride, dilation=dilation)
+    return nn.Sequential(
+        first, *(ResidualBlock(out_channels, out_channels, dilation=dilation) for _ in range(blocks - 1))
+    )

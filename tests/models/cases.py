@@ -100,12 +100,38 @@ def _lightstereo(size: str, parameters: int) -> Case:
     return Case(parameters=parameters, golden=Golden(f"lightstereo_{size}", norm=(0.5, 0.75), taps=taps))
 
 
+def _gwcnet(name: str) -> Golden:
+    taps = {"volume": Tap("cost", "6/4/4"), "head3": Tap("aggregation", "2/2/2", item=-1)}
+    return Golden(name, norm=(0.5, 0.75), taps=taps)
+
+
+def _casstereo(name: str, lowest: float, head1: str) -> Golden:
+    return Golden(
+        name,
+        norm=(lowest, 0.75),
+        taps={
+            "head1": Tap("coarse.0.aggregation", head1, item=-1),
+            "stage1": Tap("coarse.0.regression", "2/2"),
+            "range2": Tap("candidates", "16/16", field="values"),
+            "head2": Tap("aggregation", "4/4", item=-1),
+        },
+    )
+
+
 ELSEWHERE = "held to its recordings in tests/weights/test_published.py"
 
 CASES: dict[str, Case] = {
     "coex": Case(parameters=2_721_993, golden=ELSEWHERE),
     "psmnet": Case(parameters=5_224_768, golden=ELSEWHERE),
     "gcnet": Case(parameters=2_845_376, golden="no weights were published"),
+    "gwcnet_g": Case(parameters=6_518_560, training_only=85_728, golden=_gwcnet("gwcnet_g")),
+    "gwcnet_gc": Case(parameters=6_909_728, training_only=85_728, golden=_gwcnet("gwcnet_gc")),
+    "casstereo_psm": Case(
+        parameters=10_505_568, training_only=2 * 85_728, golden=_casstereo("casstereo_psm", 0.5, "4/4")
+    ),
+    "casstereo_gwc": Case(
+        parameters=10_943_776, training_only=2 * 85_728, golden=_casstereo("casstereo_gwc", 0.45, "2/2")
+    ),
     "lightstereo_s": _lightstereo("s", 3_441_360),
     "lightstereo_m": _lightstereo("m", 7_641_264),
     "lightstereo_l": _lightstereo("l", 24_286_512),
