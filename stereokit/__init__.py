@@ -1,8 +1,8 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
-from stereokit.aggregation import EncoderDecoder, Hourglass, StackedHourglass
-from stereokit.backbones import ResidualTower, SpatialPyramid, UNet
+from stereokit.aggregation import EncoderDecoder, Hourglass, PlainAggregation, StackedHourglass
+from stereokit.backbones import ResidualTower, SpatialPyramid, StridedTower, UNet
 from stereokit.builder import build_model
 from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
@@ -18,8 +18,9 @@ from stereokit.guidance import GCE, AdditiveGuidance, NeighborhoodAggregation
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
-from stereokit.models import coex, gcnet, psmnet
+from stereokit.models import coex, gcnet, psmnet, stereonet_8x, stereonet_16x
 from stereokit.network import StereoNetwork
+from stereokit.refinement import EdgeAwareRefinement
 from stereokit.registry import (
     AGGREGATIONS,
     BACKBONES,
@@ -62,12 +63,14 @@ __all__ = [
     "DifferenceVolume",
     "DisparityRange",
     "DisparityResult",
+    "EdgeAwareRefinement",
     "EncoderDecoder",
     "GroupwiseCorrelationVolume",
     "Hourglass",
     "InputError",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
+    "PlainAggregation",
     "Predictor",
     "ResidualTower",
     "SoftArgmin",
@@ -77,6 +80,7 @@ __all__ = [
     "StereoModel",
     "StereoNetwork",
     "StereoOutput",
+    "StridedTower",
     "SuperpixelUpsampler",
     "TopKSoftArgmin",
     "UNet",
@@ -92,4 +96,6 @@ __all__ = [
     "load_weights",
     "psmnet",
     "stereo_loss",
+    "stereonet_8x",
+    "stereonet_16x",
 ]

@@ -2,6 +2,7 @@
 
 from stereokit.aggregation.encoder_decoder import EncoderDecoder
 from stereokit.aggregation.hourglass import Hourglass
+from stereokit.aggregation.plain import PlainAggregation
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
 
-__all__ = ["EncoderDecoder", "Hourglass", "StackedHourglass"]
+__all__ = ["EncoderDecoder", "Hourglass", "PlainAggregation", "StackedHourglass"]

@@ -3,5 +3,6 @@
 from stereokit.models.coex import coex
 from stereokit.models.gcnet import gcnet
 from stereokit.models.psmnet import psmnet
+from stereokit.models.stereonet import stereonet_8x, stereonet_16x
 
-__all__ = ["coex", "gcnet", "psmnet"]
+__all__ = ["coex", "gcnet", "psmnet", "stereonet_8x", "stereonet_16x"]

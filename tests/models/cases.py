@@ -97,10 +97,27 @@ class Case:
 
 ELSEWHERE = "held to its recordings in tests/weights/test_published.py"
 
+STEREONET = {
+    "feature": Tap("backbone.head", left=True),
+    "cost": Tap("aggregation", item=0, sign=-1),
+    "disparity_low": Tap("upsampler"),
+    "refined_1": Tap("refinements.0"),
+}
+
 CASES: dict[str, Case] = {
     "coex": Case(parameters=2_721_993, golden=ELSEWHERE),
     "psmnet": Case(parameters=5_224_768, golden=ELSEWHERE),
     "gcnet": Case(parameters=2_845_376, golden="no weights were published"),
+    "stereonet_8x": Case(
+        parameters=624_644,
+        golden=Golden("stereonet_8x", norm=(0.5, 0.8), taps=STEREONET),
+        loss="robust",
+    ),
+    "stereonet_16x": Case(
+        parameters=763_109,
+        golden=Golden("stereonet_16x", norm=(0.5, 0.8), taps=STEREONET),
+        loss="robust",
+    ),
 }
 
 
