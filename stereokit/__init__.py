@@ -18,7 +18,7 @@ from stereokit.guidance import GCE, AdditiveGuidance, NeighborhoodAggregation
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
-from stereokit.models import coex, gcnet, psmnet, stereonet_8x, stereonet_16x
+from stereokit.models import DispNetC, coex, gcnet, psmnet, stereonet_8x, stereonet_16x
 from stereokit.network import StereoNetwork
 from stereokit.refinement import EdgeAwareRefinement
 from stereokit.registry import (
@@ -61,6 +61,7 @@ __all__ = [
     "ConfigError",
     "CorrelationVolume",
     "DifferenceVolume",
+    "DispNetC",
     "DisparityRange",
     "DisparityResult",
     "EdgeAwareRefinement",

@@ -182,7 +182,7 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     blocks, resolved = _build_stage({**choice, "stride": stride}, recipe, presets, ends_at=ends_at, **common)
     mended = [
         refinement.build(
-            **({} if refinement.chosen("stride") else {"stride": 1}),
+            **({"stride": 1} if refinement.chosen("stride") is None else {}),
             guide_channels={1: 3, **backbone.info.guide_channels},
             max_disparity=choice["max_disparity"],
         )
@@ -282,7 +282,7 @@ def _build_aggregation(
 
 def _stride_of(refinement: Choice) -> int:
     """Of what a refinement gives, 1 unless it was chosen."""
-    stride = refinement.chosen("stride") or 1
+    stride = 1 if (given := refinement.chosen("stride")) is None else given
     if isinstance(stride, bool) or not isinstance(stride, int) or stride < 1:
         raise ConfigError(f"{refinement} has stride {stride!r}; expected a whole number from 1 up")
     return stride

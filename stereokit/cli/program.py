@@ -330,18 +330,15 @@ def _list(options: argparse.Namespace) -> None:
 def _info(options: argparse.Namespace) -> None:
     saved = os.path.isdir(options.model)
     model = StereoNetwork.from_pretrained(options.model) if saved else build_model(options.model)
-    if not isinstance(model, StereoNetwork):
-        raise ConfigError(f"model {options.model!r} is not made of slots: it has no table of blocks")
     height, width = options.size
     if min(height, width) < MIN_SIZE:
         raise InputError(f"--size {height} {width} is below {MIN_SIZE} x {MIN_SIZE}, the smallest that networks take")
     blocks = model_summary(model, height, width)
     parameters, multiply_adds = sum(b.parameters for b in blocks), sum(b.multiply_adds for b in blocks)
     config = model.config
-    print(
-        f"{config['name']}: max_disparity {config['max_disparity']}, guidance {config['guidance']['name']} "
-        f"({config['guidance_at']}), one pair of {width} x {height} px"
-    )
+    # a network without slots has no place for guidance
+    guidance = f", guidance {config['guidance']['name']} ({config['guidance_at']})" if "guidance" in config else ""
+    print(f"{config['name']}: max_disparity {model.max_disparity}{guidance}, one pair of {width} x {height} px")
     line = "{:12}  {:22}  {:27}  {:>12}  {:>10}".format
     print(line("slot", "block", "class", "parameters", "GMACs"))
     for block in blocks:
@@ -356,4 +353,5 @@ def _convert(options: argparse.Namespace) -> None:
     model, report = _read_published(options, options.checkpoint, options.model)
     model.save_pretrained(options.out)
     order = (options.channel_order or "bgr").upper()
-    print(f"{report}\nwrote {options.out} (from {order}; regression {model.config['regression']})")
+    regression = f"; regression {model.config['regression']}" if "regression" in model.config else ""
+    print(f"{report}\nwrote {options.out} (from {order}{regression})")

@@ -6,6 +6,8 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
+
 __all__ = ["CASES", "Case", "Golden", "Tap"]
 
 ALL_EXPORTS = ("onnx", "openvino", "program")
@@ -117,6 +119,23 @@ CASES: dict[str, Case] = {
         parameters=763_109,
         golden=Golden("stereonet_16x", norm=(0.5, 0.8), taps=STEREONET),
         loss="robust",
+    ),
+    "dispnetc": Case(
+        parameters=42_429_110,
+        golden=Golden(
+            "dispnetcorr1d",
+            norm=(1.0, 1.0),  # it has none
+            seed=2,
+            taps={
+                "correlation": Tap("correlation", "2/2"),
+                "predict6": Tap("decoder.predict", sign=-1),
+                "predict2": Tap("decoder.levels.1.predict", sign=-1),
+                "predict1": Tap("decoder.levels.0.predict", sign=-1),
+            },
+            overrides={"mean": IMAGENET_MEAN, "std": IMAGENET_STD},
+        ),
+        loss="l1",
+        size=(64, 128),
     ),
 }
 
