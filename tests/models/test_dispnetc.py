@@ -95,7 +95,12 @@ def test_it_is_trained_by_a_recipe(tmp_path, monkeypatch):
     monkeypatch.setattr("stereokit.training.run.VALIDATION_SCENES", 1)
     recipe = tmp_path / "mine.toml"
     recipe.write_text(RECIPE)
-    assert main(["train", str(recipe), "--out", str(tmp_path / "run"), "--workers", "0", "--accelerator", "cpu"]) == 0
+    assert (
+        main(
+            ["train", "--recipe", str(recipe), "--out", str(tmp_path / "run"), "--workers", "0", "--accelerator", "cpu"]
+        )
+        == 0
+    )
     trained = StereoNetwork.from_pretrained(tmp_path / "run" / "network")
     assert trained.config["name"] == "dispnetc"
     assert trained.max_disparity == 32
