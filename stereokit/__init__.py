@@ -1,8 +1,23 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
-from stereokit.aggregation import EncoderDecoder, GwcHourglass, Hourglass, InvertedResidualHourglass, StackedHourglass
-from stereokit.backbones import FeaturePyramid, GwcTrunk, ResidualTower, SpatialPyramid, TopDownPyramid, UNet
+from stereokit.aggregation import (
+    EncoderDecoder,
+    GwcHourglass,
+    Hourglass,
+    InvertedResidualHourglass,
+    PlainAggregation,
+    StackedHourglass,
+)
+from stereokit.backbones import (
+    FeaturePyramid,
+    GwcTrunk,
+    ResidualTower,
+    SpatialPyramid,
+    StridedTower,
+    TopDownPyramid,
+    UNet,
+)
 from stereokit.builder import build_model
 from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
@@ -19,6 +34,7 @@ from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
 from stereokit.models import (
+    DispNetC,
     casstereo_gwc,
     casstereo_psm,
     coex,
@@ -29,8 +45,11 @@ from stereokit.models import (
     lightstereo_m,
     lightstereo_s,
     psmnet,
+    stereonet_8x,
+    stereonet_16x,
 )
 from stereokit.network import StereoNetwork
+from stereokit.refinement import EdgeAwareRefinement
 from stereokit.registry import (
     AGGREGATIONS,
     BACKBONES,
@@ -73,8 +92,10 @@ __all__ = [
     "ConfigError",
     "CorrelationVolume",
     "DifferenceVolume",
+    "DispNetC",
     "DisparityRange",
     "DisparityResult",
+    "EdgeAwareRefinement",
     "EncoderDecoder",
     "ExportedFile",
     "FeaturePyramid",
@@ -87,6 +108,7 @@ __all__ = [
     "InvertedResidualHourglass",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
+    "PlainAggregation",
     "Predictor",
     "ResidualTower",
     "SoftArgmin",
@@ -96,6 +118,7 @@ __all__ = [
     "StereoModel",
     "StereoNetwork",
     "StereoOutput",
+    "StridedTower",
     "SuperpixelUpsampler",
     "TopDownPyramid",
     "TopKSoftArgmin",
@@ -120,4 +143,6 @@ __all__ = [
     "open_network",
     "psmnet",
     "stereo_loss",
+    "stereonet_8x",
+    "stereonet_16x",
 ]

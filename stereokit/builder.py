@@ -173,11 +173,11 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
         stages.append(Stage(**blocks, stride=merged["stride"], loss_weight=merged["loss_weight"]))
         coarse.append({**resolved, "stride": merged["stride"], "loss_weight": merged["loss_weight"]})
     refinements = [Choice("refinement", given, presets=presets) for given in choice["refinements"]]
-    ends_at = refinements[0].arguments.get("stride", 1) if refinements and refinements[0].block is None else 1
+    ends_at = _stride_of(refinements[0]) if refinements else 1
     blocks, resolved = _build_stage({**choice, "stride": stride}, recipe, presets, ends_at=ends_at, **common)
     mended = [
         refinement.build(
-            stride=refinement.arguments.get("stride", 1) if refinement.block is None else None,
+            **({"stride": 1} if refinement.chosen("stride") is None else {}),
             guide_channels={1: 3, **backbone.info.guide_channels},
             max_disparity=choice["max_disparity"],
         )
@@ -279,6 +279,14 @@ def _build_aggregation(
             "aggregation that takes guidance"
         )
     return aggregation, {"guidance": maker.choice.resolved, "guidance_at": settings["guidance_at"]}
+
+
+def _stride_of(refinement: Choice) -> int:
+    """Of what a refinement gives, 1 unless it was chosen."""
+    stride = 1 if (given := refinement.chosen("stride")) is None else given
+    if isinstance(stride, bool) or not isinstance(stride, int) or stride < 1:
+        raise ConfigError(f"{refinement} has stride {stride!r}; expected a whole number from 1 up")
+    return stride
 
 
 def _coarse_settings(settings: Any, choice: Mapping[str, Any], *, first: bool) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from stereokit.aggregation.encoder_decoder import EncoderDecoder
 from stereokit.aggregation.gwc_hourglass import GwcHourglass
 from stereokit.aggregation.hourglass import Hourglass
 from stereokit.aggregation.inverted_residual import InvertedResidualHourglass
+from stereokit.aggregation.plain import PlainAggregation
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
 
 __all__ = [
@@ -11,5 +12,6 @@ __all__ = [
     "GwcHourglass",
     "Hourglass",
     "InvertedResidualHourglass",
+    "PlainAggregation",
     "StackedHourglass",
 ]

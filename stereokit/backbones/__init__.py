@@ -5,6 +5,7 @@ from stereokit.backbones.feature_pyramid import FeaturePyramid
 from stereokit.backbones.gwc_trunk import GwcTrunk
 from stereokit.backbones.residual import ResidualTower
 from stereokit.backbones.spatial_pyramid import SpatialPyramid
+from stereokit.backbones.strided import StridedTower
 from stereokit.backbones.top_down_pyramid import TopDownPyramid
 from stereokit.backbones.unet import UNet
 
@@ -14,6 +15,7 @@ __all__ = [
     "MobileNetV2Encoder",
     "ResidualTower",
     "SpatialPyramid",
+    "StridedTower",
     "TimmEncoder",
     "TopDownPyramid",
     "UNet",

@@ -8,14 +8,16 @@ __all__ = ["ResidualBlock", "residual_layer"]
 
 
 class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions and a skip, without an activation after the sum.
+    """Two 3x3 convolutions and a skip.
 
     Args:
         in_channels: of the input.
         out_channels: of the output; where it or the size differs, the skip is a 1x1 convolution with batch norm.
         stride: of the first convolution.
         dilation: of both.
+        activation: of the first convolution.
         last_activation: of the second convolution, before the sum.
+        after_sum: activation after the sum; None for none.
     """
 
     def __init__(
@@ -25,20 +27,23 @@ class ResidualBlock(nn.Module):
         *,
         stride: int = 1,
         dilation: int = 1,
+        activation: Activation = relu,
         last_activation: Activation | None = None,
+        after_sum: Activation | None = None,
     ) -> None:
         super().__init__()
-        self.conv1 = ConvNormAct(in_channels, out_channels, stride=stride, dilation=dilation, activation=relu)
+        self.conv1 = ConvNormAct(in_channels, out_channels, stride=stride, dilation=dilation, activation=activation)
         self.conv2 = ConvNormAct(out_channels, out_channels, dilation=dilation, activation=last_activation)
         self.skip = (
             nn.Identity()
             if stride == 1 and in_channels == out_channels
             else ConvNormAct(in_channels, out_channels, 1, stride=stride, activation=None)
         )
+        self.after_sum = nn.Identity() if after_sum is None else after_sum()
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, in_channels, H, W) to (B, out_channels, H / stride, W / stride)."""
-        return self.conv2(self.conv1(x)) + self.skip(x)
+        return self.after_sum(self.conv2(self.conv1(x)) + self.skip(x))
 
 
 def residual_layer(

@@ -2,12 +2,15 @@
 
 from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
 from stereokit.models.coex import coex
+from stereokit.models.dispnetc import DispNetC
 from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
 from stereokit.models.lightstereo import lightstereo_l, lightstereo_m, lightstereo_s
 from stereokit.models.psmnet import psmnet
+from stereokit.models.stereonet import stereonet_8x, stereonet_16x
 
 __all__ = [
+    "DispNetC",
     "casstereo_gwc",
     "casstereo_psm",
     "coex",
@@ -18,4 +21,6 @@ __all__ = [
     "lightstereo_m",
     "lightstereo_s",
     "psmnet",
+    "stereonet_8x",
+    "stereonet_16x",
 ]

@@ -186,7 +186,8 @@ def list_recipes() -> list[str]:
     """The recipes that come with the library.
 
     >>> list_recipes()
-    ['kitti-finetune', 'psmnet-kitti', 'psmnet-sceneflow', 'sceneflow', 'synthetic', 'synthetic-finetune']
+    ['dispnetc-sceneflow', 'kitti-finetune', 'psmnet-kitti', 'psmnet-sceneflow', 'sceneflow', 'stereonet-sceneflow', \
+'synthetic', 'synthetic-finetune']
     """
     return sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml"))
 
