@@ -272,10 +272,11 @@ def check_least_size(height: int, width: int, least: int = MIN_SIZE) -> None:
 def per_channel(name: str, values: Sequence[float], *, positive: bool = False) -> Tensor:
     """One number per RGB channel, as (3, 1, 1)."""
     try:
-        tensor = torch.tensor(values, dtype=torch.float32)
+        # on a device without data, where published checkpoints are recognised, nothing could be checked
+        tensor = torch.tensor(values, dtype=torch.float32, device="cpu")
     except (TypeError, ValueError, RuntimeError):
         tensor = torch.empty(0)
     if tensor.shape != (3,) or not tensor.isfinite().all() or (positive and not (tensor > 0).all()):
         kind = "positive numbers" if positive else "numbers"
         raise ConfigError(f"{name} is three {kind}, one per RGB channel; got {values!r}")
-    return tensor.reshape(3, 1, 1)
+    return torch.tensor(tensor.tolist(), dtype=torch.float32).reshape(3, 1, 1)

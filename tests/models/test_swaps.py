@@ -1,0 +1,50 @@
+"""Blocks in networks that did not bring them."""
+
+import json
+
+import pytest
+import torch
+
+from stereokit import build_model
+from stereokit.losses import stereo_loss
+
+SWAPS = [
+    ("coex", {"guidance": "msca"}),
+    ("psmnet", {"guidance": "msca", "guidance_at": "one"}),
+    ("lightstereo_s", {"guidance": "gce"}),
+    ("lightstereo_s", {"guidance": "neighborhood", "guidance_at": "one"}),
+    ("lightstereo_s", {"guidance": "none", "top_k": 2}),
+    ("coex", {"aggregation": "inverted_residual"}),
+    ("psmnet", {"aggregation": "inverted_residual"}),
+    ("gcnet", {"aggregation": "inverted_residual", "upsampler": "bilinear"}),
+    ("coex", {"backbone": "feature_pyramid"}),
+    ("psmnet", {"backbone": "feature_pyramid"}),
+    ("lightstereo_s", {"backbone": "unet"}),
+    ("coex", {"upsampler": "image_superpixel"}),
+    ("psmnet", {"upsampler": "image_superpixel"}),
+    ("lightstereo_s", {"upsampler": "superpixel"}),
+    ("lightstereo_s", {"aggregation": "hourglass"}),
+    ("lightstereo_s", {"cost": "concatenation"}),
+]
+
+
+@pytest.mark.parametrize(("network", "overrides"), SWAPS)
+def test_a_block_works_in_another_network(network, overrides):
+    model = build_model(network, max_disparity=64, **overrides)
+    left, right = torch.rand(2, 2, 3, 64, 96)
+    output = model(left, right)
+    loss = stereo_loss(output, torch.full_like(left[:, 0], 5.0), auxiliary_weights=model.auxiliary_weights)
+    loss.backward()
+    assert loss.isfinite()
+    assert [name for name, p in model.named_parameters() if p.grad is None] == []
+    assert all(p.grad.isfinite().all() for p in model.parameters())
+    config = json.loads(json.dumps(model.config))
+    assert build_model(config).config == config
+
+
+@pytest.mark.slow
+def test_lightstereo_takes_a_larger_encoder():
+    model = build_model("lightstereo_l", backbone={"encoder": "efficientnetv2_rw_s"}, max_disparity=64).eval()
+    assert model.backbone.info.guide_channels == {4: 48, 8: 64, 16: 160, 32: 272}
+    with torch.inference_mode():
+        assert model(*torch.rand(2, 1, 3, 64, 96)).disparity.isfinite().all()
