@@ -23,7 +23,7 @@ from stereokit.data.synthetic import SyntheticScenes
 from stereokit.files import atomic_path
 from stereokit.metrics import StereoMetrics
 from stereokit.models.ablation import ABLATION, AblationRow
-from stereokit.training import Recipe, load_recipe, train, with_length
+from stereokit.training import Machine, Recipe, load_recipe, train, with_length
 from stereokit.training.samples import to_batch
 
 TEST_SEED = 2_000_003
@@ -147,12 +147,14 @@ def trained(
         seed=options.seed,
         minutes=options.minutes,
         resume=True,
-        accelerator=options.accelerator,
-        devices=1,
-        precision=options.precision,
-        workers=options.workers,
-        checkpoint_every=100,
-        validate_every=1_000_000,
+        machine=Machine(
+            accelerator=options.accelerator,
+            devices=1,
+            precision=options.precision,
+            workers=options.workers,
+            checkpoint_every=100,
+            validate_every=1_000_000,
+        ),
     )
     return outcome.model, summary(outcome.record)
 

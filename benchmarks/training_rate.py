@@ -40,7 +40,7 @@ def step(options: argparse.Namespace) -> Callable[[], None]:
     model: StereoModel = build_model(options.model, max_disparity=options.max_disparity).to(device)
     if kind != "plain":
         keep_freed_memory()
-        prepare_for_training(model)
+        model = prepare_for_training(model)
     network = torch.compile(model) if kind == "ours, compiled" else model
     optimiser = torch.optim.Adam(model.parameters(), lr=1e-4)
     height, width = options.size

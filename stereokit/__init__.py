@@ -38,6 +38,7 @@ from stereokit.registry import (
 from stereokit.regression import SoftArgmin, TopKSoftArgmin
 from stereokit.upsampling import ImageSuperpixelUpsampler, SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
+from stereokit.weights.opening import ExportedFile, open_network
 from stereokit.weights.published import load_published
 
 __all__ = [
@@ -64,6 +65,7 @@ __all__ = [
     "DisparityRange",
     "DisparityResult",
     "EncoderDecoder",
+    "ExportedFile",
     "FeaturePyramid",
     "GroupwiseCorrelationVolume",
     "Hourglass",
@@ -97,6 +99,7 @@ __all__ = [
     "list_weights",
     "load_published",
     "load_weights",
+    "open_network",
     "psmnet",
     "stereo_loss",
 ]

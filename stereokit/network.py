@@ -17,7 +17,7 @@ from stereokit.files import atomic_path
 from stereokit.layers.casting import as_float
 from stereokit.weights.folder import load_folder, save_folder
 
-__all__ = ["MIN_SIZE", "Preprocessing", "StereoNetwork", "check_least_size"]
+__all__ = ["MIN_SIZE", "Preprocessing", "StereoNetwork", "check_least_size", "least_size_of"]
 
 MIN_SIZE = 32
 
@@ -261,6 +261,15 @@ class StereoNetwork(
         if left.dtype != right.dtype:
             raise InputError(f"left and right differ in type: {left.dtype} and {right.dtype}")
         check_least_size(left.shape[-2], left.shape[-1], self.least_size)
+
+
+def least_size_of(network: nn.Module) -> int:
+    """Height and width that the images of any network have at least.
+
+    >>> least_size_of(nn.Identity())
+    32
+    """
+    return int(getattr(network, "least_size", MIN_SIZE))
 
 
 def check_least_size(height: int, width: int, least: int = MIN_SIZE) -> None:

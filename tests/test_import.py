@@ -17,6 +17,7 @@ PUBLIC_NAMES = [
     "CorrelationVolume",
     "DisparityResult",
     "EncoderDecoder",
+    "ExportedFile",
     "GCE",
     "GUIDANCE",
     "GroupwiseCorrelationVolume",
@@ -47,6 +48,7 @@ PUBLIC_NAMES = [
     "list_weights",
     "load_published",
     "load_weights",
+    "open_network",
     "psmnet",
     "stereo_loss",
 ]
@@ -62,6 +64,7 @@ NOT_CORE = [
     "nncf",
     "tensorboard",
     "pandas",
+    "laspy",
 ]
 COSTLY = ["timm", "torchvision"]
 

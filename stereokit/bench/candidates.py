@@ -11,18 +11,15 @@ from torch import Tensor, nn
 
 from stereokit.backends import open_backend
 from stereokit.backends.compiled import compile_network, room_for_versions
-from stereokit.builder import build_model
-from stereokit.errors import CheckpointError, ConfigError
+from stereokit.errors import ConfigError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.export import export_onnx, export_openvino
 from stereokit.export.calibration import SYNTHETIC, find_pairs
-from stereokit.network import StereoNetwork
 from stereokit.optimize import prepare_for_inference
-from stereokit.registry import list_models, suggest
+from stereokit.registry import suggest
 from stereokit.runtime.precision import DTYPES, dtype_of
-from stereokit.weights import list_weights, load_weights
-from stereokit.weights.places import FILE_BACKENDS, is_exported
-from stereokit.weights.published import load_published, published_networks
+from stereokit.weights.opening import find_network, load_network
+from stereokit.weights.places import FILE_BACKENDS
 
 __all__ = ["BACKENDS", "PRECISIONS", "Candidate", "Ready", "Source", "image_pair", "rival_source", "source_of"]
 
@@ -172,35 +169,20 @@ EXPORTS: Mapping[str, Callable[[Candidate, str], Path]] = {"onnxruntime": _to_on
 
 
 def source_of(model: str) -> Source:
-    """The source of a network: a registered name, that of weights, a folder of a saved network, a published checkpoint.
+    """The source of a network, by its name or place, see `stereokit.open_network`.
 
-    Weights do not change the speed: a registered network has random ones.
+    Weights do not change the speed: a network given by its name has random ones.
 
     Raises:
-        ConfigError: there is no such network, or it is an exported file.
-        CheckpointError: the checkpoint is none of the published ones.
+        CheckpointError: there is no such network, or it is an exported file.
 
     >>> source_of("coex")(max_disparity=64).max_disparity
     64
     """
-    if Path(model).is_dir():
-        return partial(_saved, model)
-    if is_exported(model):
-        backend = FILE_BACKENDS[Path(model).suffix.lower()]
-        raise ConfigError(
-            f"{model!r} is an exported file; stereokit bench NETWORK --backend {backend} exports the network and times "
-            "the file"
-        )
-    if Path(model).is_file():
-        return partial(_published, model)
-    if model in list_weights():
-        return partial(load_weights, model)
-    if model not in list_models():
-        raise ConfigError(
-            f"{model!r} is no folder or file, and no network; {suggest(model, [*list_models(), *list_weights()])}, "
-            "or the folder of a saved network"
-        )
-    return partial(build_model, model)
+    place = find_network(model, bare_name="untrained")
+    backend = FILE_BACKENDS.get(Path(model).suffix.lower())
+    place.check_module(f"stereokit bench NETWORK --backend {backend}, which exports the network and times the file")
+    return partial(load_network, place)
 
 
 def rival_source(name: str) -> Source:
@@ -220,25 +202,6 @@ def rival_source(name: str) -> Source:
 def _rival(name: str, max_disparity: int | None = None) -> Any:
     variant = SGBM_VARIANTS[name]
     return variant if max_disparity is None else replace(variant, search_range=max_disparity)
-
-
-def _saved(folder: str, max_disparity: int | None = None) -> StereoNetwork:
-    model = StereoNetwork.from_pretrained(folder)
-    if max_disparity in (None, model.max_disparity):
-        return model
-    other: StereoNetwork = build_model(model.config, max_disparity=max_disparity)
-    return other
-
-
-def _published(path: str, max_disparity: int | None = None) -> StereoNetwork:
-    overrides: dict[str, Any] = {} if max_disparity is None else {"max_disparity": max_disparity}
-    refusals = []
-    for network in published_networks():
-        try:
-            return load_published(path, network, **overrides)
-        except CheckpointError as error:
-            refusals.append(str(error))
-    raise CheckpointError(refusals[0])
 
 
 def image_pair(candidate: Candidate, device: torch.device) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,7 @@ from tqdm import tqdm
 from stereokit.bench.candidates import BACKENDS, PRECISIONS, Candidate, rival_source, source_of
 from stereokit.bench.report import Benchmark, check_plot
 from stereokit.bench.run import run_benchmark
+from stereokit.cli.options import DEVICE_HELP, network_help
 from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.files import check_free
@@ -37,8 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "models",
         nargs="*",
         metavar="MODEL_OR_WEIGHTS",
-        help=f"{', '.join(list_models())}, a name of stereokit list weights, "
-        "a folder of a saved network, or a published checkpoint (default: coex)",
+        help=f"{network_help(bare_name='untrained')}: {', '.join(list_models())} (default: coex)",
     )
     parser.add_argument("--rival", nargs="+", default=[], metavar="NAME", help=f"{', '.join(SGBM_VARIANTS)}")
     parser.add_argument(
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-disparity", nargs="+", type=int, default=[None], metavar="D", help="(default: the network's own)"
     )
-    parser.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
+    parser.add_argument("--device", default="auto", help=DEVICE_HELP)
     parser.add_argument("--repeats", type=int, default=20, metavar="N", help="timed runs (default: %(default)s)")
     parser.add_argument("--warmup", type=int, default=3, metavar="N", help="untimed runs before (default: %(default)s)")
     parser.add_argument("--threads", type=int, metavar="N", help="of the CPU (default: as torch and OpenCV choose)")

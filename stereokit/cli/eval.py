@@ -5,13 +5,14 @@ import importlib
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from stereokit.backends import BACKENDS
+from stereokit.cli.loading import find_chosen_network, load_predictor
+from stereokit.cli.options import add_predictor_options, add_published_options, network_help
 from stereokit.data.datasets.dataset import StereoEntry
 from stereokit.data.datasets.opening import open_dataset
 from stereokit.errors import ConfigError, InputError
@@ -23,28 +24,21 @@ from stereokit.evaluation.sgbm import SGBM_VARIANTS, SemiGlobalMatcher
 from stereokit.evaluation.submission import KittiSubmission
 from stereokit.evaluation.tables import format_dataset
 from stereokit.files import check_folder, check_free
-from stereokit.inference import Predictor
 from stereokit.registry import list_models, suggest
-from stereokit.weights import default_weights, named_weights
 
 __all__ = ["add_arguments", "run"]
 
-LoadPredictor = Callable[[argparse.Namespace], Predictor]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `stereokit eval`, less those of published checkpoints, which several commands share."""
+    """The options of `stereokit eval`."""
     parser.add_argument(
         "--model",
         help=f"a network ({', '.join(list_models())}); OpenCV's semi-global matcher with 8 paths (sgbm) or 5 "
         "(sgbm_5paths), holes filled from the background, or left (sgbm_unfilled, sgbm_5paths_unfilled); or a "
         "function of your own, MODULE:FUNCTION, from left and right image to disparity (default: coex)",
     )
-    parser.add_argument(
-        "--weights",
-        help="folder of a saved network, published checkpoint, exported file, a name of stereokit list weights, or "
-        "that of a network for its default ones",
-    )
+    parser.add_argument("--weights", help=f"{network_help(exported=True)} (default: those of --model)")
+    add_published_options(parser)
     parser.add_argument(
         "--data",
         action="append",
@@ -53,8 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="data set, such as kitti2012:/data/kitti2012; may be given several times",
     )
     parser.add_argument("--limit", type=int, metavar="N", help="only the first N pairs of each data set")
-    parser.add_argument("--device", default="auto", help="cpu, cuda, .. (default: a GPU if there is one)")
-    parser.add_argument("--backend", default="auto", help=f"{', '.join(BACKENDS)} (default: that of the weights)")
+    add_predictor_options(parser)
     parser.add_argument(
         "--batch", type=int, default=1, metavar="N", help="match N pairs of equal size at once (default: 1)"
     )
@@ -76,13 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace existing results")
 
 
-def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
+def run(options: argparse.Namespace) -> None:
     """Evaluates as the options say, prints a table per data set and writes the files.
 
     Args:
         options: of `add_arguments`, and `arguments`, the command line that they were parsed from, for the record.
-        load_predictor: gives the network that the options `model`, `weights`, `channel_order` and `top_k` name, on
-            the device and the backend that they name.
 
     Raises:
         StereoKitError: options or data that can't be used; then no result is written.
@@ -108,7 +99,7 @@ def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
             raise InputError(f"--submission takes one data set, kitti2012 or kitti2015; got {len(datasets)}")
         [dataset] = datasets.values()
         observers.append(KittiSubmission(options.submission, dataset, overwrite=options.overwrite))
-    matcher = _matcher(options, load_predictor)
+    matcher = _matcher(options)
     evaluation = evaluate(
         matcher,
         datasets,
@@ -130,7 +121,7 @@ def run(options: argparse.Namespace, load_predictor: LoadPredictor) -> None:
         print(f"wrote {len(evaluation.datasets[0].pairs)} disparity maps into {options.submission}; zip its content")
 
 
-def _matcher(options: argparse.Namespace, load_predictor: LoadPredictor) -> Matcher:
+def _matcher(options: argparse.Namespace) -> Matcher:
     name = options.model or "coex"
     if name in SGBM_VARIANTS or ":" in name:
         _refuse(name, options, "weights", "channel_order", "top_k", "precision", "max_memory", "too_large", "scale")
@@ -149,9 +140,7 @@ def _matcher(options: argparse.Namespace, load_predictor: LoadPredictor) -> Matc
     if name not in list_models():
         raise ConfigError(f"unknown model {name!r}; {suggest(name, [*list_models(), *SGBM_VARIANTS])}")
     _refuse(name, options, "search_range")
-    predictor = load_predictor(options)
-    weights = default_weights(name) if options.weights is None else named_weights(options.weights) or options.weights
-    return NetworkMatcher(predictor, weights=weights)
+    return NetworkMatcher(load_predictor(options), weights=find_chosen_network(options))
 
 
 def _refuse(name: str, options: argparse.Namespace, *given: str) -> None:

@@ -1,10 +1,11 @@
 """`stereokit export`."""
 
 import argparse
-from collections.abc import Callable
 
 from torch import nn
 
+from stereokit.cli.loading import load_chosen_network
+from stereokit.cli.options import add_published_options, network_help
 from stereokit.errors import ConfigError
 from stereokit.export.calibration import find_pairs
 from stereokit.export.onnx import OPSETS, export_onnx
@@ -22,15 +23,10 @@ HELD_OUT = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `stereokit export`, less those of published checkpoints, which several commands share."""
-    parser.add_argument(
-        "weights",
-        nargs="?",
-        metavar="WEIGHTS",
-        help="folder of a saved network, published checkpoint, a name of stereokit list weights, or that of a network "
-        "for its default ones (default: coex's)",
-    )
-    parser.add_argument("--model", help="name of the network that a published checkpoint is for (default: coex)")
+    """The options of `stereokit export`."""
+    parser.add_argument("weights", nargs="?", metavar="WEIGHTS", help=f"{network_help()} (default: those of --model)")
+    parser.add_argument("--model", help="name of the network that the weights are of (default: coex)")
+    add_published_options(parser)
     parser.add_argument("--to", required=True, choices=SUFFIXES, help="ONNX, OpenVINO, or a program of torch.export")
     parser.add_argument("--out", required=True, metavar="FILE", help=f"ends in {', '.join(SUFFIXES.values())}")
     parser.add_argument(
@@ -56,12 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
 
 
-def run(options: argparse.Namespace, load_network: Callable[[argparse.Namespace], nn.Module]) -> None:
+def run(options: argparse.Namespace) -> None:
     """Exports as the options say and prints how far the file is from PyTorch.
-
-    Args:
-        options: of `add_arguments`.
-        load_network: gives the network that the options `model`, `weights`, `channel_order` and `top_k` name.
 
     Raises:
         StereoKitError: options, a network or pairs that can't be used; then nothing is written.
@@ -71,7 +63,7 @@ def run(options: argparse.Namespace, load_network: Callable[[argparse.Namespace]
         raise ConfigError(f"--opset is for --to onnx; leave it out for {options.to}")
     if options.to != "openvino" and (options.precision not in (None, "float32") or options.calibrate):
         raise ConfigError(f"--precision and --calibrate are for --to openvino; leave them out for {options.to}")
-    network = load_network(options)
+    network = load_chosen_network(options)
     print(f"writing {options.out} and comparing it with PyTorch; that may take minutes", flush=True)
     print(_export(options, network))
 

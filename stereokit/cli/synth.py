@@ -1,4 +1,4 @@
-"""`stereokit synth`: a synthetic data set on disk."""
+"""`stereokit synth`."""
 
 import argparse
 import os
@@ -16,9 +16,23 @@ from stereokit.files import make_folder
 from stereokit.tables import counted
 from stereokit.training.recipe import load_recipe
 
-__all__ = ["run_synth", "write_scenes"]
+__all__ = ["add_arguments", "run", "write_scenes"]
 
 _PAIRS_A_SEQUENCE = 100
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `stereokit synth`."""
+    parser.add_argument("--count", type=int, required=True, help="number of pairs")
+    parser.add_argument("--out", required=True, help="folder for them")
+    parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
+    parser.add_argument("--recipe", help="scenes as this one of stereokit train renders them, such as synthetic")
+    parser.add_argument(
+        "--size", nargs=2, type=int, metavar=("HEIGHT", "WIDTH"), help="(default: 256 512, or the recipe's)"
+    )
+    parser.add_argument("--max-disparity", type=float, help="in pixels (default: 96, or the recipe's)")
+    parser.add_argument("--textures", metavar="DIR", help="folder of photographs to use besides procedural textures")
+    parser.add_argument("--split", choices=("test", "train"), default="test", help="(default: %(default)s)")
 
 
 def write_scenes(
@@ -68,8 +82,12 @@ def write_scenes(
             write_image((images / place).with_suffix(".png"), image)
 
 
-def run_synth(options: argparse.Namespace) -> None:
-    """The command, with the options that `stereokit synth --help` lists."""
+def run(options: argparse.Namespace) -> None:
+    """Renders the scenes and says how the data set is read.
+
+    Raises:
+        StereoKitError: options that can't be used, or files that can't be written.
+    """
     chosen = {"size": options.size and tuple(options.size), "max_disparity": options.max_disparity}
     settings = {name: value for name, value in chosen.items() if value is not None}
     render = SyntheticScenes if options.recipe is None else load_recipe(options.recipe).rendered_scenes

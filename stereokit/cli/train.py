@@ -2,20 +2,19 @@
 
 import argparse
 import shlex
-from collections.abc import Callable
 from typing import Any
 
+from stereokit.cli.loading import check_published_options, load_chosen_network
+from stereokit.cli.options import add_published_options, network_help
 from stereokit.errors import ConfigError
-from stereokit.network import StereoNetwork
-from stereokit.training.recipe import list_recipes, load_recipe
+from stereokit.training.machine import Machine
+from stereokit.training.recipe import list_recipes, load_recipe, with_length
 
 __all__ = ["add_arguments", "run"]
 
-LoadNetwork = Callable[[argparse.Namespace], StereoNetwork]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `stereokit train`, less those of published checkpoints, which several commands share."""
+    """The options of `stereokit train`."""
     parser.add_argument(
         "--recipe", required=True, help=f"{', '.join(list_recipes())}; or a file of one's own that ends in .toml"
     )
@@ -35,11 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="data set to validate on as it goes; may be given several times",
     )
     parser.add_argument("--textures", metavar="DIR", help="photographs to use in rendered scenes besides patterns")
+    parser.add_argument("--weights", help=f"network to go on from: {network_help()}")
     parser.add_argument(
-        "--weights",
-        help="network to go on from: folder of a saved one, published checkpoint, a name of stereokit list weights, or "
-        "that of a network for its default ones",
+        "--network-from",
+        choices=("recipe", "weights"),
+        default="recipe",
+        help="which network to train where that of --weights is not the recipe's: recipe refuses it, weights trains it "
+        "as it is (default: %(default)s)",
     )
+    add_published_options(parser)
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out, if there is one")
     length = parser.add_argument_group("length")
     length.add_argument(
@@ -51,11 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     length.add_argument("--batch", type=int, help="pairs a step, over all devices (default: the recipe's)")
     parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
     machine = parser.add_argument_group("machine")
-    machine.add_argument("--accelerator", default="auto", help="cpu, gpu, .. (default: a GPU if there is one)")
+    machine.add_argument("--accelerator", default="auto", help="cpu, gpu, ... (default: a GPU if there is one)")
     machine.add_argument("--devices", default="auto", help="how many on each machine (default: 1 CPU, or all GPUs)")
     machine.add_argument("--nodes", type=int, default=1, help="machines, each started by itself (default: %(default)s)")
     machine.add_argument(
-        "--precision", default="32", help="32, bf16-mixed, 16-mixed, .. as Lightning calls them (default: %(default)s)"
+        "--precision", default="32", help="32, bf16-mixed, 16-mixed, ... as Lightning calls them (default: %(default)s)"
     )
     machine.add_argument("--compile", action="store_true", help="train through torch.compile: minutes to start, faster")
     machine.add_argument("--workers", type=int, help="processes that read pairs, for each device (default: by cores)")
@@ -67,32 +70,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace, load_network: LoadNetwork) -> None:
+def run(options: argparse.Namespace) -> None:
     """The command, with the options that `stereokit train --help` lists."""
-    from stereokit.training import train, with_length
-    from stereokit.training.run import is_first_process
+    # below, for they need Lightning
+    from stereokit.training import train
+    from stereokit.training.trainer import is_first_process
 
     recipe = with_length(load_recipe(options.recipe), steps=options.steps, batch=options.batch)
     options.model = recipe.model["name"]
+    if options.weights is None:
+        check_published_options(options)
     outcome = train(
         recipe,
         options.out,
         data=options.data,
         validation=options.validate,
         textures=options.textures,
-        model=None if options.weights is None else load_network(options).train(),
+        model=None if options.weights is None else load_chosen_network(options).train(),
         weights=options.weights,
+        network_from=options.network_from,
         seed=options.seed,
         minutes=options.minutes,
         resume=options.resume,
-        accelerator=options.accelerator,
-        devices=_devices(options.devices),
-        nodes=options.nodes,
-        precision=options.precision,
-        compile=options.compile,
-        workers=options.workers,
-        checkpoint_every=options.checkpoint_every,
-        validate_every=options.validate_every,
+        machine=Machine(
+            accelerator=options.accelerator,
+            devices=_devices(options.devices),
+            nodes=options.nodes,
+            precision=options.precision,
+            compile=options.compile,
+            workers=options.workers,
+            checkpoint_every=options.checkpoint_every,
+            validate_every=options.validate_every,
+        ),
         command=shlex.join(["stereokit", *options.arguments]),
     )
     if not is_first_process():

@@ -1,6 +1,6 @@
 """Stereo data: image, disparity and calibration files, data sets, augmentation."""
 
-from stereokit.data.calibration import Calibration, read_calibration
+from stereokit.calibration import Calibration, read_calibration
 from stereokit.data.datasets import (
     DATASETS,
     StereoDataset,

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy.typing as npt
@@ -14,8 +13,7 @@ from stereokit.data.inputs import to_pair
 from stereokit.inference import Predictor
 from stereokit.runtime.memory import running_out_as
 from stereokit.runtime.provenance import file_sha256, state_sha256
-from stereokit.weights import named_weights, weights_folder
-from stereokit.weights.folder import WEIGHTS_NAME
+from stereokit.weights.opening import NetworkPlace, find_network
 
 __all__ = ["BatchMatcher", "Image", "Matcher", "NetworkMatcher", "describe_matcher"]
 
@@ -43,8 +41,8 @@ class NetworkMatcher:
 
     Args:
         predictor: the network on its device.
-        weights: the checkpoint, the folder of a saved network, or the name of the library's weights that it was loaded
-            from; it is named with its hash in the record of an evaluation.
+        weights: the name or place that the network was opened from, see `stereokit.open_network`; the record of an
+            evaluation holds it, with the hash of its file.
 
     >>> import numpy as np
     >>> from stereokit import build_model
@@ -57,7 +55,7 @@ class NetworkMatcher:
     preparation_seconds: float
     """That the last call took for what is needed once, or once for a size; see `DisparityResult`."""
 
-    def __init__(self, predictor: Predictor, *, weights: str | os.PathLike[str] | None = None) -> None:
+    def __init__(self, predictor: Predictor, *, weights: str | os.PathLike[str] | NetworkPlace | None = None) -> None:
         self.predictor = predictor
         self.weights = weights
         self.preparation_seconds = 0.0
@@ -101,15 +99,15 @@ class NetworkMatcher:
         if isinstance(backend, TorchBackend):
             parts["weights_sha256"] = state_sha256(backend.network.state_dict())
         if self.weights is not None:
-            path = os.fspath(self.weights)
-            parts["weights"] = path
-            name = named_weights(path)
-            place = Path(path if name is None else weights_folder(name))
-            if place.suffix == ".xml":
+            place = find_network(self.weights)
+            parts["weights"] = place.name
+            file = place.file()
+            if file is not None and file.suffix == ".xml":
                 # OpenVINO's graph, whose weights lie beside it
-                parts["graph_file_sha256"] = file_sha256(place)
-                place = place.with_suffix(".bin")
-            parts["weights_file_sha256"] = file_sha256(place / WEIGHTS_NAME if place.is_dir() else place)
+                parts["graph_file_sha256"] = file_sha256(file)
+                file = file.with_suffix(".bin")
+            if file is not None:
+                parts["weights_file_sha256"] = file_sha256(file)
         return parts
 
 

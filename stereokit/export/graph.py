@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 
 from stereokit.errors import ConfigError, InputError
-from stereokit.network import MIN_SIZE, check_least_size
+from stereokit.network import check_least_size, least_size_of
 
 __all__ = ["ExportGraph", "example_size", "naming_block", "trace"]
 
@@ -57,11 +57,11 @@ def trace(model: nn.Module, size: Size | None) -> ExportedProgram:
     [(1, 64, 96), (1, 64, 96)]
     """
     if size is not None:
-        check_least_size(*size)
+        check_least_size(*size, least_size_of(model))
     graph = ExportGraph(model)
     height, width = size or example_size(model)
     images = (torch.rand(1, 3, height, width), torch.rand(1, 3, height, width))
-    axes = None if size else {2: Dim("height", min=MIN_SIZE), 3: Dim("width", min=MIN_SIZE)}
+    axes = None if size else {2: Dim("height", min=least_size_of(model)), 3: Dim("width", min=least_size_of(model))}
     with naming_block(graph), torch.no_grad(), _sizes_as_unknowns():
         # sizes that the solver can't prove to fit are checked when the program runs, not settled on the example's
         return torch.export.export(
@@ -85,7 +85,7 @@ def example_size(model: nn.Module) -> Size:
     >>> example_size(nn.Identity())
     (91, 157)
     """
-    multiple = max(int(getattr(model, "multiple", 1)), MIN_SIZE)
+    multiple = max(int(getattr(model, "multiple", 1)), least_size_of(model))
     return 3 * multiple - 5, 5 * multiple - 3
 
 

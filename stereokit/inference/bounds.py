@@ -104,7 +104,7 @@ class BoundedMatcher:
         if ceiling is None and too_large == "tile":
             raise ConfigError(
                 f"tiles share as many columns as the largest disparity, and {type(network).__name__} has no attribute "
-                "max_disparity that tells it; use set it, or 'reduce'"
+                "max_disparity that tells it; set it, or use 'reduce'"
             )
         self._cuts = ceiling is not None
         self.max_disparity = int(ceiling or 0)
@@ -120,13 +120,20 @@ class BoundedMatcher:
         """
         return self.match(left, right, self.plan(*left.shape[-2:]))
 
-    def match(self, left: Tensor, right: Tensor, plan: MemoryPlan) -> StereoOutput:
+    def match(self, left: Tensor, right: Tensor, plan: MemoryPlan, *, run: Run | None = None) -> StereoOutput:
         """Matches a pair as `plan` has found for its size.
+
+        Args:
+            left: (B, 3, H, W).
+            right: likewise.
+            plan: for their size.
+            run: what runs the network for this pair, in place of the usual one.
 
         Raises:
             InputError: it takes more memory than was estimated.
         """
         height, width = left.shape[-2:]
+        on_device = partial(self._on_device, run or self.run)
         # the estimate is for a pass that keeps nothing for gradients
         with (
             torch.no_grad(),
@@ -137,7 +144,7 @@ class BoundedMatcher:
         ):
             if plan.how == "tile" and plan.tile is not None:
                 return match_tiles(
-                    self._on_device,
+                    on_device,
                     left,
                     right,
                     tile=plan.tile,
@@ -146,14 +153,14 @@ class BoundedMatcher:
                     multiple=self.multiple,
                 )
             if plan.how == "reduce" and plan.scale is not None:
-                return match_scaled(self._on_device, left, right, scale=plan.scale)
-            return self._on_device(left, right)
+                return match_scaled(on_device, left, right, scale=plan.scale)
+            return on_device(left, right)
 
     def plan(self, height: int, width: int) -> MemoryPlan:
         """How a pair of this size is matched.
 
         Raises:
-            InputError: it does not fit, and is not to be cut or reduced, or can't be; use the message says what.
+            InputError: it does not fit, and is not to be cut or reduced, or can't be; the message says what to use.
         """
         allowed = self.max_memory if self.max_memory is not None else available_memory(self.device or "cpu")
         if allowed is None:
@@ -180,9 +187,9 @@ class BoundedMatcher:
             return MemoryPlan("reduce", needed, allowed, scale=scale)
         raise InputError(self._refusal(height, width, needed, allowed, tile, scale))
 
-    def _on_device(self, left: Tensor, right: Tensor) -> StereoOutput:
+    def _on_device(self, run: Run, left: Tensor, right: Tensor) -> StereoOutput:
         device = self._images_on or left.device
-        return self.run(left.to(device), right.to(device))
+        return run(left.to(device), right.to(device))
 
     def _needed(self, height: int, width: int) -> int:
         if (height, width) not in self._known:

@@ -8,13 +8,15 @@ at every threshold. It has no end-point error, so the mean end-point error leave
 """
 
 from stereokit.metrics.accumulation import StereoMetrics
-from stereokit.metrics.known import valid_pixels
+from stereokit.metrics.known import PixelCounts, count_pixels, valid_pixels
 from stereokit.metrics.measures import KITTI_METRICS, bad_pixels, d1, end_point_error, invalid_predictions
 
 __all__ = [
     "KITTI_METRICS",
+    "PixelCounts",
     "StereoMetrics",
     "bad_pixels",
+    "count_pixels",
     "d1",
     "end_point_error",
     "invalid_predictions",

@@ -1,14 +1,17 @@
 """Which pixels count, and how far each is off."""
 
 import math
+from dataclasses import astuple, dataclass
+from typing import Any
 
+import numpy.typing as npt
 import torch
 import torch.distributed
 from torch import Tensor
 
 from stereokit.errors import InputError
 
-__all__ = ["valid_pixels"]
+__all__ = ["PixelCounts", "count_pixels", "valid_pixels"]
 
 D1_ABSOLUTE, D1_RELATIVE = 3.0, 0.05
 
@@ -37,6 +40,59 @@ def valid_pixels(truth: Tensor, mask: Tensor | None = None, *, max_disparity: fl
     if mask is not None:
         valid &= checked_mask(mask, "mask", truth)
     return valid
+
+
+@dataclass(frozen=True)
+class PixelCounts:
+    """How many pixels of ground truth count by `valid_pixels`, and which rule leaves out the others.
+
+    Attributes:
+        valid: that count.
+        not_finite: NaN or infinite, which means unknown.
+        zero: 0, which means unknown too.
+        negative: below 0.
+        too_large: at or above the ceiling.
+    """
+
+    valid: int = 0
+    not_finite: int = 0
+    zero: int = 0
+    negative: int = 0
+    too_large: int = 0
+
+    @property
+    def total(self) -> int:
+        """All pixels."""
+        return sum(astuple(self))
+
+    @property
+    def known(self) -> int:
+        """Pixels that have a value, whether it counts or not."""
+        return self.valid + self.negative + self.too_large
+
+    def __add__(self, other: "PixelCounts") -> "PixelCounts":
+        return PixelCounts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+
+def count_pixels(truth: Tensor | npt.NDArray[Any], *, max_disparity: float | None = None) -> PixelCounts:
+    """Counts the pixels of ground truth by the rule of `valid_pixels` that each falls under.
+
+    Args:
+        truth: d*, any shape, in pixels.
+        max_disparity: ceiling, exclusive, in pixels. None counts every known pixel.
+
+    Raises:
+        InputError: a ceiling that leaves nothing.
+
+    >>> count_pixels(torch.tensor([0.0, 5.0, -5.0, 200.0, float("nan")]), max_disparity=192)
+    PixelCounts(valid=1, not_finite=1, zero=1, negative=1, too_large=1)
+    """
+    truth = torch.as_tensor(truth)
+    valid = int(valid_pixels(truth, max_disparity=max_disparity).sum())
+    not_finite = truth.numel() - int(torch.isfinite(truth).sum())
+    zero = int((truth == 0).sum())
+    negative = int((torch.isfinite(truth) & (truth < 0)).sum())
+    return PixelCounts(valid, not_finite, zero, negative, truth.numel() - valid - not_finite - zero - negative)
 
 
 def absolute_error(

@@ -34,7 +34,7 @@ class PreparedNetwork(nn.Module):
         self.network = network
         self.precision = precision
         # what tiles are cut by
-        for name in ("max_disparity", "multiple"):
+        for name in ("max_disparity", "multiple", "least_size"):
             if hasattr(network, name):
                 setattr(self, name, getattr(network, name))
 

@@ -1,11 +1,22 @@
 """Memory formats and types for training."""
 
+import copy
+from itertools import chain
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
 
-__all__ = ["ApartFromAutocast", "SmallConv3d", "SmallConvTranspose3d", "StridedDepthwise", "prepare_for_training"]
+from stereokit.errors import ConfigError
+
+__all__ = [
+    "ApartFromAutocast",
+    "SmallConv3d",
+    "SmallConvTranspose3d",
+    "StridedDepthwise",
+    "copy_state",
+    "prepare_for_training",
+]
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -20,7 +31,7 @@ class ApartFromAutocast(nn.Module):
         raise NotImplementedError
 
     def forward(self, input: Tensor, *args: Any, **options: Any) -> Tensor:
-        """The convolution of the input, in the type that autocast would give it."""
+        """The convolution of the input, in the type that autocast gives its results."""
         if input.device.type != "cpu" or not torch.is_autocast_enabled("cpu") or not self.stays_out(input):
             return super().forward(input, *args, **options)
         with torch.autocast("cpu", enabled=False):
@@ -65,32 +76,47 @@ class SmallConv3d(_SmallVolume, nn.Conv3d):
 
 
 class SmallConvTranspose3d(_SmallVolume, nn.ConvTranspose3d):
-    """A transposed 3D convolution that does as `SmallConv3d`."""
+    """A transposed 3D convolution that does the same as `SmallConv3d`."""
 
 
 _SUBSTITUTES = {nn.Conv3d: SmallConv3d, nn.ConvTranspose3d: SmallConvTranspose3d}
 
 
 def prepare_for_training(model: Network) -> Network:
-    """Puts the weights of 3D, of depthwise and of 1 x 1 convolutions into channels-last memory formats.
+    """A twin of a network that trains faster: its modules are copies, its parameters and buffers are the network's own.
 
-    Their values, names and gradients stay, and so do optimisers and checkpoints: only the order in memory changes.
-    Under a CPU's autocast strided depthwise convolutions and small volumes stay in float32: the former become
+    The weights of 3D, of depthwise and of 1 x 1 convolutions are put into channels-last memory formats. Their values,
+    names and gradients stay, and so do optimisers and checkpoints: only the order in memory changes. Under a CPU's
+    autocast strided depthwise convolutions and small volumes stay in float32: in the twin the former are
     `StridedDepthwise`, 3D convolutions `SmallConv3d` and `SmallConvTranspose3d`. Results differ by rounding.
 
+    What the twin learns, the network knows too, as long as both share their tensors. A twin that moves to another
+    device gets buffers of its own there: `copy_state` brings them back.
+
     Args:
-        model: changed in place.
+        model: keeps its classes, hooks and names; its weights change their order in memory.
 
-    Returns:
-        The network itself.
+    Raises:
+        ConfigError: the network can't be copied.
 
-    >>> conv = nn.Conv3d(2, 2, 3)
-    >>> prepare_for_training(nn.Sequential(conv))[0] is conv
-    True
-    >>> conv.weight.is_contiguous(memory_format=torch.channels_last_3d)
+    >>> network = nn.Sequential(nn.Conv3d(2, 2, 3))
+    >>> twin = prepare_for_training(network)
+    >>> type(network[0]).__name__, type(twin[0]).__name__, twin[0].weight is network[0].weight
+    ('Conv3d', 'SmallConv3d', True)
+    >>> network[0].weight.is_contiguous(memory_format=torch.channels_last_3d)
     True
     """
-    for module in model.modules():
+    shared = {id(tensor): tensor for tensor in chain(model.parameters(), model.buffers())}
+    try:
+        # what deepcopy finds in its memo it takes for copied already
+        twin = copy.deepcopy(model, dict(shared))
+    except RuntimeError as error:
+        reason = str(error).strip().split("\n")[0]
+        raise ConfigError(
+            f"a {type(model).__name__} can't be copied to be made ready for training ({reason}); make weights that are "
+            "computed from others by torch.nn.utils.parametrizations"
+        ) from error
+    for module in twin.modules():
         if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
             module.to(memory_format=torch.channels_last_3d)
             module.__class__ = _SUBSTITUTES.get(type(module), type(module))
@@ -100,4 +126,25 @@ def prepare_for_training(model: Network) -> Network:
                 module.to(memory_format=torch.channels_last)
             if depthwise and module.stride != (1, 1) and type(module) is nn.Conv2d:
                 module.__class__ = StridedDepthwise
-    return model
+    return twin
+
+
+@torch.no_grad()
+def copy_state(twin: nn.Module, model: nn.Module) -> None:
+    """Gives a network what its twin learnt: the values of all parameters and buffers that are not shared any more.
+
+    Args:
+        twin: of `prepare_for_training`, on any device.
+        model: the network that it was made from.
+
+    >>> network = nn.BatchNorm2d(2)
+    >>> twin = prepare_for_training(network)
+    >>> twin.running_mean = torch.ones(2)
+    >>> copy_state(twin, network)
+    >>> network.running_mean
+    tensor([1., 1.])
+    """
+    theirs = chain(twin.parameters(), twin.buffers())
+    for mine, new in zip(chain(model.parameters(), model.buffers()), theirs, strict=True):
+        if mine is not new:
+            mine.copy_(new)

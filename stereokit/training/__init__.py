@@ -3,17 +3,21 @@
 from typing import TYPE_CHECKING, Any
 
 from stereokit.errors import ConfigError
-from stereokit.training.recipe import Averaging, Loss, Optimisation, Recipe, Schedule, list_recipes, load_recipe
+from stereokit.training.machine import Machine
+from stereokit.training.optimisation import Optimisation
+from stereokit.training.recipe import Averaging, Loss, Recipe, list_recipes, load_recipe, with_length
 from stereokit.training.samples import Batch, ResumableLoader, TrainingSamples
+from stereokit.training.schedule import Schedule
 
 if TYPE_CHECKING:
     from stereokit.training.module import StereoTraining, TrainingError
-    from stereokit.training.run import Outcome, train, with_length
+    from stereokit.training.run import Outcome, train
 
 __all__ = [
     "Averaging",
     "Batch",
     "Loss",
+    "Machine",
     "Optimisation",
     "Outcome",
     "Recipe",
@@ -33,7 +37,6 @@ _NEED_LIGHTNING = {
     "StereoTraining": "module",
     "TrainingError": "module",
     "train": "run",
-    "with_length": "run",
 }
 
 

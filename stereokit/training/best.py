@@ -23,7 +23,7 @@ class BestNetwork(Callback):
         self.smallest = smallest
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Behind the count of the errors."""
+        """After the errors are counted."""
         errors: Any = pl_module.errors
         bad = errors.get("validation/bad_3")
         if bad is None:

@@ -53,7 +53,7 @@ class StereoData(LightningDataModule):
         return ResumableLoader(
             self.samples,
             batch=self.batch,
-            # behind the last batch Lightning would take the run for finished, and not let it be made longer
+            # after the last batch Lightning takes the run for finished, and does not let it be made longer
             steps=self.steps + 1,
             rank=self.trainer.global_rank,
             processes=processes,
@@ -78,7 +78,7 @@ class StereoData(LightningDataModule):
 
 
 class _ValidationSamples(Dataset[Batch]):
-    """The pairs, and behind them the first one without its ground truth, which counts nowhere."""
+    """The pairs, and after them the first one without its ground truth, which counts nowhere."""
 
     def __init__(self, pairs: Sequence[StereoSample]) -> None:
         self.pairs = pairs

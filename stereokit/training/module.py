@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from stereokit.contracts import StereoOutput
 from stereokit.errors import ConfigError, StereoKitError
-from stereokit.losses import masked_cross_entropy, stereo_loss, truth_of_cells
+from stereokit.losses import masked_cross_entropy, named_loss, stereo_loss, truth_of_cells
 from stereokit.metrics import StereoMetrics, valid_pixels
 from stereokit.network import StereoNetwork
 from stereokit.optimize import prepare_for_training
@@ -28,19 +28,23 @@ class TrainingError(StereoKitError):
 
 
 class StereoTraining(LightningModule):
-    """One training step, one validation step, and what they hang on.
+    """One training step, one validation step, and what they need.
 
     The learning rate follows the recipe's schedule over the steps of the run or, with `minutes`, over the wall-clock
     time spent in training. A step whose loss or gradient is not finite changes neither weights nor batch statistics.
 
     Args:
-        model: to train.
+        model: to train; it shares its parameters and buffers with the network in `self.model`, see
+            `stereokit.optimize.prepare_for_training`.
         recipe: what to do.
         steps: of the whole run.
         minutes: wall-clock time of the whole run, over all its resumptions, its last validation included as far as
             it can be foreseen; None for as long as the steps take.
         validation: name of each validation set, in the order of the validation loaders.
         compile: train through `torch.compile`.
+
+    Raises:
+        ConfigError: a loss that is not known, or a network that can't be copied.
 
     Attributes:
         pairs_seen: training pairs so far, over all processes.
@@ -58,6 +62,8 @@ class StereoTraining(LightningModule):
         compile: bool = False,
     ) -> None:
         super().__init__()
+        self.measure = named_loss({"name": recipe.loss.name, **recipe.loss.arguments})
+        # a twin, so that the network that was given keeps its classes
         self.model = prepare_for_training(model)
         self.recipe = recipe
         self.steps = steps
@@ -65,7 +71,7 @@ class StereoTraining(LightningModule):
         self.validation = validation
         self.compile_network = compile
         # in a list, so that it is no second submodule
-        self._network: list[nn.Module] = [model]
+        self._network: list[nn.Module] = [self.model]
         self.pairs_seen = 0
         self.errors: dict[str, float] = {}
         self.broken_steps = 0
@@ -113,9 +119,8 @@ class StereoTraining(LightningModule):
         return output
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Adam; `on_train_batch_start` sets its learning rate."""
-        optimisation = self.recipe.optimisation
-        return torch.optim.Adam(self.parameters(), lr=optimisation.learning_rate, betas=optimisation.betas)
+        """The recipe's; `on_train_batch_start` sets its learning rate."""
+        return self.recipe.optimisation.optimiser(self.parameters())
 
     def on_train_start(self) -> None:
         """Starts the clock."""
@@ -124,7 +129,7 @@ class StereoTraining(LightningModule):
             self._network = [torch.compile(self.model)]  # type: ignore[list-item]
 
     def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
-        """Sets the learning rate, and says which step is the last: Lightning validates behind it."""
+        """Sets the learning rate, and says which step is the last: Lightning validates after it."""
         progress = self.progress
         rate = self.recipe.optimisation.learning_rate * self.recipe.schedule.learning_rate_factor(progress)
         for group in self.optimizers().param_groups:  # type: ignore[union-attr]
@@ -150,8 +155,10 @@ class StereoTraining(LightningModule):
         self._statistics_before = [buffer.clone() for buffer in self._batch_statistics()]
         output = self(batch["left"], batch["right"])
         truth, settings = batch["disparity"], self.recipe.loss
-        ceiling = settings.max_disparity
-        distance = stereo_loss(output, truth, auxiliary_weights=self.model.auxiliary_weights, max_disparity=ceiling)
+        weights = self.model.auxiliary_weights
+        distance = stereo_loss(
+            output, truth, auxiliary_weights=weights, loss=self.measure, max_disparity=settings.max_disparity
+        )
         loss = self._shared(distance, truth)
         if settings.cross_entropy:
             entropy, cells = self._cross_entropy(output, truth)

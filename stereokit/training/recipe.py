@@ -1,119 +1,69 @@
 """What a training run is: network, crops, loss, optimiser, schedule, average. A page of TOML each."""
 
-import math
+import inspect
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from stereokit.data.augmentation import Augmentation
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import ConfigError
 from stereokit.registry import suggest
+from stereokit.training.fields import check_fields, check_types
+from stereokit.training.optimisation import Optimisation
+from stereokit.training.schedule import Schedule
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-__all__ = ["Averaging", "Loss", "Optimisation", "Recipe", "Schedule", "list_recipes", "load_recipe"]
+__all__ = ["Averaging", "Loss", "Optimisation", "Recipe", "Schedule", "list_recipes", "load_recipe", "with_length"]
 
 _FOLDER = files("stereokit.training") / "recipes"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loss:
-    """`stereokit.losses.stereo_loss`, and which ground truth counts.
+    """What is made small, and which ground truth counts.
 
     Attributes:
+        kind: name of the distance between each output and the truth, or a table of its `name` and arguments.
         max_disparity: ground truth from there up does not count, in pixels; None counts all.
         cross_entropy: weight of `stereokit.losses.masked_cross_entropy` beside it, on the logits of the best head.
+
+    Raises:
+        ConfigError: a value of another type or out of range.
+
+    >>> Loss(kind={"name": "smooth_l1"}).name
+    'smooth_l1'
     """
 
+    kind: str | Mapping[str, Any] = "smooth_l1"
     max_disparity: float | None = None
     cross_entropy: float = 0.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.cross_entropy, bool) or not 0 <= self.cross_entropy < math.inf:
+        check_fields("loss", self)
+        if not isinstance(self.kind, str) and not isinstance(self.kind.get("name"), str):
+            raise ConfigError(f"loss: kind is {dict(self.kind)!r}; expected a name, or a table with a name in it")
+        if self.max_disparity is not None and self.max_disparity <= 0:
+            raise ConfigError(f"loss: max_disparity must be positive, got {self.max_disparity}")
+        if self.cross_entropy < 0:
             raise ConfigError(f"loss: cross_entropy is a weight from 0 up, got {self.cross_entropy!r}")
 
+    @property
+    def name(self) -> str:
+        """Of the kind."""
+        return self.kind if isinstance(self.kind, str) else str(self.kind["name"])
 
-@dataclass(frozen=True, kw_only=True)
-class Optimisation:
-    """Adam.
-
-    Attributes:
-        learning_rate: before the schedule.
-        betas: decay of the averages of the gradient and of its square.
-        gradient_clip: largest norm of the gradient of all parameters; None for any.
-    """
-
-    learning_rate: float = 1e-3
-    betas: tuple[float, float] = (0.9, 0.999)
-    gradient_clip: float | None = None
-
-    def __post_init__(self) -> None:
-        clip = math.inf if self.gradient_clip is None else self.gradient_clip
-        _check_positive("optimisation", learning_rate=self.learning_rate, gradient_clip=clip)
-        pair = self.betas if isinstance(self.betas, list | tuple) else ()
-        if len(pair) != 2 or not all(isinstance(beta, int | float) and 0 <= beta < 1 for beta in pair):
-            raise ConfigError(f"optimisation: betas are two numbers from 0 to below 1; got {self.betas!r}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Schedule:
-    """How long training lasts, and what the learning rate does meanwhile.
-
-    The learning rate is a function of progress, from 0 at the start to 1 at the end, so that the same schedule fits
-    a number of steps, a number of epochs or a number of minutes.
-
-    Attributes:
-        batch: pairs a step, over all processes.
-        steps: of the optimiser; or
-        epochs: passes over the data.
-        warmup: part of the run in which the learning rate rises from 0.
-        milestones: progress at which the learning rate is multiplied by `factor`; where `epochs` is given, in epochs.
-        factor: see `milestones`.
-
-    Raises:
-        ConfigError: both or neither of steps and epochs, or values out of range.
-
-    >>> schedule = Schedule(batch=8, epochs=10, milestones=(7,), factor=0.1)
-    >>> [round(schedule.learning_rate_factor(progress), 3) for progress in (0.0, 0.69, 0.7, 0.99)]
-    [1.0, 1.0, 0.1, 0.1]
-    """
-
-    batch: int
-    steps: int | None = None
-    epochs: int | None = None
-    warmup: float = 0.0
-    milestones: tuple[float, ...] = ()
-    factor: float = 0.1
-
-    def __post_init__(self) -> None:
-        if (self.steps is None) == (self.epochs is None):
-            raise ConfigError(f"schedule: expected steps or epochs, got steps={self.steps} and epochs={self.epochs}")
-        length = self.steps if self.epochs is None else self.epochs
-        _check_positive("schedule", length=length, batch=self.batch, factor=self.factor)
-        if not 0 <= self.warmup < 1:
-            raise ConfigError(f"schedule: warmup is a part of the run, from 0 to below 1; got {self.warmup}")
-        end = self.epochs or 1
-        if any(not 0 < milestone < end for milestone in self.milestones):
-            unit = "epochs" if self.epochs else "parts of the run"
-            raise ConfigError(f"schedule: milestones are {unit} between 0 and {end}; got {list(self.milestones)}")
-
-    def learning_rate_factor(self, progress: float) -> float:
-        """What the learning rate is multiplied by at this progress in [0, 1]."""
-        end = self.epochs or 1
-        passed = sum(progress >= milestone / end for milestone in self.milestones)
-        rising = min(1.0, progress / self.warmup) if self.warmup else 1.0
-        return rising * self.factor**passed
-
-    def total_steps(self, pairs: int) -> int:
-        """Steps of the whole run over a data set of so many pairs."""
-        return self.steps or math.ceil((self.epochs or 0) * pairs / self.batch)
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Of the kind."""
+        return {} if isinstance(self.kind, str) else {key: part for key, part in self.kind.items() if key != "name"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,15 +82,14 @@ class Averaging:
     start: float = 0.75
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(Literal["ema", "swa", "none"]):
-            raise ConfigError(f"averaging: unknown kind {self.kind!r}; use 'ema', 'swa' or 'none'")
+        check_fields("averaging", self)
         if not (0 <= self.decay < 1 and 0 <= self.start < 1):
             raise ConfigError(f"averaging: decay and start lie from 0 to below 1; got {self.decay} and {self.start}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """All that a training run hangs on, but for the data on disk.
+    """All that decides about a training run, but for the data on disk.
 
     Attributes:
         name: of the recipe.
@@ -148,8 +97,8 @@ class Recipe:
         augmentation: of each pair; its crop is the size that is trained on.
         schedule: length, batch and learning rate.
         about: what it is for and where it is from.
-        optimisation: Adam.
-        loss: which ground truth counts.
+        optimisation: optimiser, its learning rate and the largest gradient.
+        loss: what is made small, and which ground truth counts.
         averaging: of the weights.
         scenes: settings of `SyntheticScenes`, if the recipe is for rendered scenes.
         data: what to give as --data, for messages.
@@ -173,13 +122,16 @@ class Recipe:
     from_weights: bool = False
 
     def __post_init__(self) -> None:
+        what = f"recipe {self.name!r}"
+        check_fields(what, self)
         if "name" not in self.model:
-            raise ConfigError(f"recipe {self.name!r}: its [model] names no network")
-        if not isinstance(self.from_weights, bool):
-            raise ConfigError(f"recipe {self.name!r}: from_weights is true or false, got {self.from_weights!r}")
+            raise ConfigError(f"{what}: its [model] names no network")
+        check_types(f"{what}, [model]", self.model, {"name": str, "pretrained_backbone": bool})
         for key in ("seed", "textures"):
             if key in (self.scenes or {}):
-                raise ConfigError(f"recipe {self.name!r}, [scenes]: {key} belongs to a run (--{key}), not to a recipe")
+                raise ConfigError(f"{what}, [scenes]: {key} belongs to a run (--{key}), not to a recipe")
+        taken = inspect.signature(SyntheticScenes).parameters
+        check_types(f"{what}, [scenes]", self.scenes or {}, {key: taken[key].annotation for key in taken})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as `from_dict` takes them; JSON keeps them."""
@@ -261,6 +213,20 @@ def load_recipe(name_or_file: str) -> Recipe:
     return Recipe.from_dict(values, name)
 
 
+def with_length(recipe: Recipe, *, steps: int | None = None, batch: int | None = None) -> Recipe:
+    """The recipe with another number of steps, or another batch.
+
+    >>> with_length(load_recipe("sceneflow"), steps=100).schedule.total_steps(35_454)
+    100
+    """
+    schedule = recipe.schedule
+    if steps is not None:
+        schedule = schedule.of_steps(steps)
+    if batch is not None:
+        schedule = replace(schedule, batch=batch)
+    return replace(recipe, schedule=schedule)
+
+
 def _build(cls: type, values: Any, what: str) -> Any:
     if not isinstance(values, Mapping):
         raise ConfigError(f"{what}: expected a table of values, got {values!r}")
@@ -268,6 +234,7 @@ def _build(cls: type, values: Any, what: str) -> Any:
     for key in values:
         if key not in known:
             raise ConfigError(f"{what}: unknown key {key!r}; {suggest(key, known)}")
+    check_types(what, values, {f.name: f.type for f in fields(cls)})
     try:
         return cls(**_with_tuples(values))
     except TypeError as error:
@@ -282,9 +249,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(part) for key, part in value.items()}
     return [_plain(part) for part in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
-
-
-def _check_positive(section: str, **values: float | None) -> None:
-    for key, value in values.items():
-        if value is None or isinstance(value, bool) or not value > 0:
-            raise ConfigError(f"{section}: {key} must be positive, got {value!r}")

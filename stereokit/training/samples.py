@@ -1,4 +1,4 @@
-"""Training samples by number: what is drawn hangs on the seed and the number alone."""
+"""Training samples by number: what is drawn depends on the seed and the number alone."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -47,7 +47,7 @@ class TrainingSamples(Dataset[Batch]):
     or with more workers, sees what an unbroken one sees.
 
     Args:
-        datasets: put one behind the other.
+        datasets: concatenated.
         augmentation: of each pair; its crop makes the sizes equal.
         seed: of the orders and of the augmentation.
         shuffle: False takes the pairs as they come.
@@ -111,7 +111,7 @@ def to_batch(sample: StereoSample) -> Batch:
 class ResumableLoader(DataLoader[Batch]):
     """Batches of `TrainingSamples`, step by step; with several processes each gets its share of every step's batch.
 
-    It counts the batches that it gave and goes on behind them after `load_state_dict`.
+    It counts the batches that it gave and goes on from there after `load_state_dict`.
 
     Args:
         samples: to draw from.
@@ -159,7 +159,7 @@ class ResumableLoader(DataLoader[Batch]):
         return {"given": self.numbers.given}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
-        """Goes on behind so many batches."""
+        """Goes on after so many batches."""
         self.numbers.given = state["given"]
 
 

@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -27,6 +28,7 @@ __all__ = [
     "WEIGHTS_NAME",
     "load_folder",
     "load_state",
+    "restore",
     "save_folder",
     "saved_config",
     "write_config",
@@ -82,15 +84,19 @@ def write_config(config: NetworkConfig, folder: Path, *, overwrite: bool) -> Non
         temporary.write_text(json.dumps({"stereokit": __version__, "network": config}, indent=2) + "\n")
 
 
-def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoNetwork":
+def load_folder(
+    folder_or_id: str, *, overrides: Mapping[str, Any] = MappingProxyType({}), **hub_arguments: Any
+) -> "StereoNetwork":
     """Builds the network that a configuration describes and loads its weights, in eval mode.
 
     Args:
         folder_or_id: a folder, or a repository of the Hugging Face hub, owner/name.
+        overrides: of the network, see `stereokit.build_model`; the weights have to fit it still.
         hub_arguments: of `huggingface_hub.hf_hub_download`.
 
     Raises:
         CheckpointError: the configuration or the weights are missing, damaged or of different networks.
+        ConfigError: the configuration or an override can't be built.
     """
     path = _fetch(folder_or_id, CONFIG_NAME, hub_arguments)
     try:
@@ -104,8 +110,35 @@ def load_folder(folder_or_id: str, **hub_arguments: Any) -> "StereoNetwork":
         state = load_file(path)
     except (OSError, SafetensorError) as error:
         raise CheckpointError(f"the weights {path!r} can't be read: {error}") from error
-    model: StereoNetwork = rebuild(config["network"])
-    load_state(model, state, path)
+    return restore(config["network"], overrides, state, path)
+
+
+def restore(
+    config: Mapping[str, Any], overrides: Mapping[str, Any], state: Mapping[str, Tensor], source: str
+) -> "StereoNetwork":
+    """Builds the network that a configuration describes, with overrides, around its weights; in eval mode.
+
+    Args:
+        config: see `stereokit.config.ModelConfig`.
+        overrides: of the network, see `stereokit.build_model`.
+        state: the weights, by name.
+        source: where they are from, for messages.
+
+    Raises:
+        ConfigError: the configuration or an override can't be built.
+        CheckpointError: the weights do not fit the network.
+    """
+    model: StereoNetwork = rebuild(config, **overrides)
+    try:
+        load_state(model, state, source)
+    except CheckpointError as error:
+        differing = [key for key, value in model.config.items() if config.get(key) != value]
+        if not overrides or not differing:
+            raise
+        raise CheckpointError(
+            f"the weights {source!r} are of another network: it differs in {', '.join(differing)}; "
+            "leave that as it is, or train it"
+        ) from error
     return model.eval()
 
 

@@ -8,17 +8,19 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from safetensors.torch import save
 from torch import Tensor
 
 from stereokit.errors import CheckpointError, ConfigError, StereoKitError
 from stereokit.files import atomic_path, make_folder
-from stereokit.network import StereoNetwork
 from stereokit.runtime.provenance import file_sha256, state_sha256
-from stereokit.weights.folder import WEIGHTS_NAME, write_config
+from stereokit.weights.folder import WEIGHTS_NAME, load_folder, write_config
 from stereokit.weights.shipped import MANIFEST_NAME, Manifest, list_weights, load_weights, read_manifest
+
+if TYPE_CHECKING:
+    from stereokit.network import StereoNetwork
 
 __all__ = ["main", "release"]
 
@@ -56,7 +58,7 @@ def release(
 
     Source of the mean: Wortsman et al., "Model soups", ICML 2022.
     """
-    model = StereoNetwork.from_pretrained(network)
+    model = load_folder(str(network))
     record = Path(network) / "training.json"
     try:
         training = json.loads(record.read_text(encoding="utf-8"))
@@ -97,7 +99,7 @@ def release(
     return manifest
 
 
-def _mean(model: StereoNetwork, others: Sequence[str | Path]) -> dict[str, Tensor]:
+def _mean(model: "StereoNetwork", others: Sequence[str | Path]) -> dict[str, Tensor]:
     weights = model.state_dict()
     for number, name in enumerate(others, start=1):
         other = load_weights(name)

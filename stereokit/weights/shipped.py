@@ -1,7 +1,6 @@
 """Weights by name. Other packages add theirs to `WEIGHTS`, as a function that gives the folder."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, cast
@@ -9,11 +8,10 @@ from typing import TYPE_CHECKING, Any, TypedDict, cast
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from stereokit.config import rebuild
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.registry import MODELS, WEIGHTS, suggest
 from stereokit.runtime.provenance import file_sha256
-from stereokit.weights.folder import WEIGHTS_NAME, load_state
+from stereokit.weights.folder import WEIGHTS_NAME, restore
 
 if TYPE_CHECKING:
     from stereokit.network import StereoNetwork
@@ -25,7 +23,6 @@ __all__ = [
     "default_weights",
     "list_weights",
     "load_weights",
-    "named_weights",
     "read_manifest",
     "suggest_weights",
     "weights_folder",
@@ -46,7 +43,7 @@ class Manifest(TypedDict):
     """Of the file of weights, as `sha256sum` gives it."""
     licence: str
     network: dict[str, Any]
-    """The whole `NetworkConfig`, which holds the preprocessing too: mean, std, padding."""
+    """The whole `ModelConfig`, which holds the preprocessing too: mean, std, padding."""
     images: str
     """What the network takes."""
     precision: str
@@ -96,26 +93,8 @@ def default_weights(network: str) -> str:
     raise ConfigError(f"there are no weights for {network!r}; there are {', '.join(list_weights())}")
 
 
-def named_weights(name: str) -> str | None:
-    """The weights that a name means: its own, or the default ones of a network; None where it is no such name.
-
-    What lies on disk under the name goes before both.
-
-    Raises:
-        ConfigError: a network without weights, see `default_weights`.
-
-    >>> named_weights("coex"), named_weights("runs/mine")
-    ('coex.synthetic_v7', None)
-    """
-    if os.path.exists(name):
-        return None
-    if name in WEIGHTS:
-        return name
-    return default_weights(name) if name in MODELS else None
-
-
 def suggest_weights(name: str) -> str:
-    """The end of an error message about a name that `named_weights` does not know.
+    """The end of an error message about a name that stands for no weights.
 
     >>> suggest_weights("coex.synthetic_v1")
     "did you mean 'coex.synthetic_v7'? Known: coex, coex.synthetic_v7"
@@ -184,15 +163,4 @@ def load_weights(name: str | Path, **overrides: Any) -> "StereoNetwork":
             f"the weights {str(path)!r} are damaged: their SHA-256 is {digest}, not {manifest['sha256']} as in the "
             "manifest; get them again, with the package if they came with it"
         )
-    model: StereoNetwork = rebuild(manifest["network"], **overrides)
-    differing = [key for key, value in model.config.items() if manifest["network"].get(key) != value]
-    try:
-        load_state(model, state, manifest["name"])
-    except CheckpointError as error:
-        if not differing:
-            raise
-        raise CheckpointError(
-            f"the weights {str(name)!r} are of another network: it differs in {', '.join(differing)}; "
-            "leave that as it is, or train it"
-        ) from error
-    return model.eval()
+    return restore(manifest["network"], overrides, state, manifest["name"])

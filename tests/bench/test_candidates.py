@@ -17,14 +17,14 @@ def test_a_network_by_name_or_from_a_folder(tmp_path: Path) -> None:
     saved = source_of(str(tmp_path))
     assert torch.equal(saved().mean, model.mean)
     assert torch.equal(next(saved().parameters()), next(model.parameters()))
-    # with another D, only the configuration is of use
     assert saved(max_disparity=32).max_disparity == 32
+    assert torch.equal(next(saved(max_disparity=32).parameters()), next(model.parameters()))
     assert source_of("psmnet")(max_disparity=64).config["name"] == "psmnet"
     for name in list_weights():
         made, shipped = source_of(name)(max_disparity=64), load_weights(name)
         assert made.max_disparity == 64
         assert torch.equal(next(made.parameters()), next(shipped.parameters()))
-    with pytest.raises(ConfigError, match=r"did you mean 'coex'"):
+    with pytest.raises(CheckpointError, match=r"did you mean 'coex'"):
         source_of("coexx")
     (tmp_path / "file").write_text("")
     with pytest.raises(CheckpointError, match=r"file"):

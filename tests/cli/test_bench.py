@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from stereokit.cli import main
-from tests.cli.test_program import fails, run
+from tests.cli.commands import fails, run
 
 QUICK = ("--size", 32, 64, "--max-disparity", 32, "--repeats", 1, "--warmup", 1)
 
@@ -43,8 +43,14 @@ def test_one_failing_candidate_is_a_row_and_all_are_an_error(capsys: pytest.Capt
     ("arguments", "message"),
     [
         (("coexx",), "did you mean 'coex'"),
-        (("coex.onnx",), "is an exported file; stereokit bench NETWORK --backend onnxruntime"),
-        (("coex.xml",), "is an exported file; stereokit bench NETWORK --backend openvino"),
+        (
+            ("coex.onnx",),
+            "holds no torch module; use stereokit bench NETWORK --backend onnxruntime",
+        ),
+        (
+            ("coex.xml",),
+            "holds no torch module; use stereokit bench NETWORK --backend openvino",
+        ),
         (("--backend", "compil"), "did you mean 'compile'"),
         (("--precision", "float61"), "did you mean 'float16'"),
         (("--rival", "sgm"), "did you mean 'sgbm'"),
@@ -57,8 +63,15 @@ def test_one_failing_candidate_is_a_row_and_all_are_an_error(capsys: pytest.Capt
     ],
 )
 def test_bad_input_is_one_line_before_anything_is_timed(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    message: str,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("coex.onnx", "coex.xml"):
+        Path(name).touch()
     assert message in fails(capsys, "bench", *arguments)
 
 

@@ -4,21 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from stereokit import build_model
-from stereokit.data import read_kitti_png, write_disparity, write_image
-from tests.cli.test_program import fails, run
+from stereokit.data import read_kitti_png, write_disparity
+from tests.cli.commands import fails, run
 from tests.evaluation.scenes import SIZE, save_kitti, save_scene
 from tests.shared import SHARED, needs_shared
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> str:
-    torch.manual_seed(0)
-    folder = tmp_path_factory.mktemp("weights")
-    build_model("coex", max_disparity=64).save_pretrained(folder)
-    return str(folder)
 
 
 @pytest.fixture
@@ -169,22 +159,6 @@ def test_broken_pairs_are_errors(capsys: pytest.CaptureFixture[str], here: Path)
     assert "'b': the ground truth is 60 x 39 pixels, the left image 60 x 40" in message()
     Path("mine/b/right.png").unlink()
     assert "1 of its files are missing, the first is 'b/right.png'" in message()
-
-
-def test_data_check_reports_and_fails_where_pairs_are_broken(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    code, said, shown = run(capsys, "data", "check", "folder", "mine")
-    assert code == 0
-    assert "pairs             2" in said
-    assert "broken            0" in said
-    assert "2/2" in shown
-    Path("mine/b/right.png").unlink()
-    write_image("mine/a/right.png", np.zeros((5, 5, 3), np.uint8), overwrite=True)
-    code, said, shown = run(capsys, "data", "check", "folder", "mine")
-    assert code == 2
-    assert "broken            2" in said
-    assert "right.png' does not exist" in said
-    assert "2 of 2 pairs are broken" in shown.splitlines()[-1]
-    assert "did you mean 'folder'" in fails(capsys, "data", "check", "foldr", "mine")
 
 
 @needs_shared

@@ -89,7 +89,7 @@ def test_bad_requests_are_one_line(weights, exported, images, tmp_path, capsys):
     assert "exists already" in fails(capsys, *openvino[:3], "onnx", "--out", exported)
     assert "is an exported file" in fails(capsys, "export", exported, *openvino[2:])
     predict = ("predict", *images, "--out", tmp_path / "out", "--weights")
-    assert "leave out --model" in fails(capsys, *predict, exported, "--model", "coex")
+    assert "leave out network (--model)" in fails(capsys, *predict, exported, "--model", "coex")
     assert "stereokit export --to onnx" in fails(capsys, *predict, weights, "--backend", "onnxruntime")
     assert "unknown backend" in fails(capsys, *predict, weights, "--backend", "fast")
     assert not out.exists()

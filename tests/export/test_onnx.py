@@ -139,7 +139,7 @@ def test_files_that_can_not_be_held_to_limits_say_so_and_run_without(exported, t
     for limits in ({"max_memory": "1GiB"}, {"too_large": "tile"}):
         with pytest.raises(ConfigError, match=message):
             Predictor(path, **limits)
-    monkeypatch.setattr("stereokit.inference.predictor.LARGE", 1000)
+    monkeypatch.setattr("stereokit.inference.planning.LARGE", 1000)
     assert Predictor(path)(*random_pair(320, 700)).size == (320, 700)
 
 

@@ -1,3 +1,5 @@
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -6,10 +8,12 @@ import torch
 from torch import Tensor, nn
 
 from stereokit import ConfigError, InputError, StereoOutput, build_model
+from stereokit.backends.eager import TorchBackend
+from stereokit.backends.estimate import Estimate
 from stereokit.data import read_disparity, read_image
 from stereokit.errors import CheckpointError
 from stereokit.inference import DisparityResult, Predictor, output_paths
-from stereokit.inference.predictor import LARGE
+from stereokit.inference.planning import LARGE
 from stereokit.runtime.device import choose_device
 from stereokit.runtime.memory import estimate_memory
 from tests.shared import SHARED, needs_shared
@@ -70,14 +74,14 @@ def test_a_large_pair_runs_where_its_memory_can_not_be_estimated_unless_a_limit_
 
 def test_a_small_pair_is_checked_too_where_memory_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
     predict = Predictor(build_model("gcnet", max_disparity=64), "cpu")
-    for module in ("predictor", "bounds"):
+    for module in ("planning", "bounds"):
         monkeypatch.setattr(f"stereokit.inference.{module}.available_memory", lambda device: 50_000_000)
     with pytest.raises(InputError, match=r"256 x 128 pixels needs about \d+ MiB of memory, 48 MiB are free on cpu"):
         predict(*np.zeros((2, 128, 256, 3), np.float32))
 
 
 def test_a_network_that_may_need_anything_is_measured_where_memory_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("predictor", "bounds"):
+    for module in ("planning", "bounds"):
         monkeypatch.setattr(f"stereokit.inference.{module}.available_memory", lambda device: 8_000_000_000)
     pair = np.zeros((2, 200, 200, 3), np.float32)
     measured = []
@@ -118,6 +122,30 @@ def test_what_is_prepared_once_is_timed_apart_from_tiles_too() -> None:
     assert min(first.seconds, again.seconds) > 0
 
 
+def test_threads_that_share_a_predictor_are_timed_each_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    predict = Predictor(ColumnNet(), "cpu")
+    # so that no thread plans this size
+    predict(*np.zeros((2, 40, 50), np.float32))
+    together = threading.Barrier(4, timeout=60)
+
+    def prepare(backend: TorchBackend, left: Tensor, right: Tensor) -> float:
+        return 1000 * float(left.mean())
+
+    def match(backend: TorchBackend, left: Tensor, right: Tensor) -> Estimate:
+        # all are in the middle of a pair at once
+        together.wait()
+        return Estimate(100 * left.mean(1).numpy(), None)
+
+    monkeypatch.setattr(TorchBackend, "prepare", prepare)
+    monkeypatch.setattr(TorchBackend, "__call__", match)
+    levels = [0.1, 0.2, 0.3, 0.4]
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(lambda level: predict(*np.full((2, 40, 50), level, np.float32)), levels))
+    for level, result in zip(levels, results, strict=True):
+        np.testing.assert_allclose(result.disparity, 100 * level, rtol=1e-5)
+        assert result.preparation_seconds == pytest.approx(1000 * level, rel=1e-4)
+
+
 @pytest.mark.parametrize("limits", [{}, {"max_memory": "100GB"}])
 @pytest.mark.parametrize("scale", [0.5, 2])
 def test_disparities_of_another_resolution_are_those_of_the_pair(limits: dict[str, str], scale: float) -> None:
@@ -140,7 +168,7 @@ def test_it_reads_a_saved_network(tmp_path: Path, coex: Predictor) -> None:
     np.testing.assert_array_equal(Predictor(tmp_path, "cpu")(image, image).disparity, coex(image, image).disparity)
     with pytest.raises(CheckpointError, match="nowhere"):
         Predictor(tmp_path / "nowhere")
-    with pytest.raises(CheckpointError, match=r"is read by stereokit\.load_published"):
+    with pytest.raises(CheckpointError, match="use the folder that save_pretrained wrote"):
         Predictor(tmp_path / "model.safetensors")
     (tmp_path / "network.pt2").touch()
     with pytest.raises(CheckpointError, match=r"torch\.export\.load reads; .* \.onnx or \.xml, or the network itself"):

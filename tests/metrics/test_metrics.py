@@ -13,6 +13,7 @@ from stereokit.metrics import (
     KITTI_METRICS,
     StereoMetrics,
     bad_pixels,
+    count_pixels,
     d1,
     end_point_error,
     invalid_predictions,
@@ -409,3 +410,21 @@ def test_nothing_given_is_changed(batch):
     before = [tensor.clone() for tensor in batch]
     results_of(*batch, max_disparity=50)
     assert all(torch.equal(a.nan_to_num(), b.nan_to_num()) for a, b in zip(before, batch, strict=True))
+
+
+@given(
+    st.lists(st.one_of(st.floats(width=32), st.sampled_from([0.0, -0.0, NAN, INF, -INF, 192.0])), min_size=1),
+    st.one_of(st.none(), st.floats(1, 300, width=32)),
+)
+def test_each_pixel_falls_under_one_rule(values, ceiling):
+    truth = torch.tensor(values, dtype=torch.float32)
+    counts = count_pixels(truth, max_disparity=ceiling)
+    assert counts.total == len(values)
+    assert counts.valid == valid_pixels(truth, max_disparity=ceiling).sum()
+    assert counts.not_finite == sum(not math.isfinite(value) for value in truth.tolist())
+    assert counts.zero == sum(value == 0 for value in truth.tolist())
+    assert counts.negative == sum(-INF < value < 0 for value in truth.tolist())
+    assert counts.too_large == sum(ceiling is not None and ceiling <= value < INF for value in truth.tolist())
+    assert counts.known == counts.valid + counts.negative + counts.too_large
+    assert count_pixels(truth[:1], max_disparity=ceiling) + count_pixels(truth[1:], max_disparity=ceiling) == counts
+    assert count_pixels(truth.numpy(), max_disparity=ceiling) == counts

@@ -91,7 +91,7 @@ class Case:
     no_export: str = ""
     max_disparity: int = 64
     size: tuple[int, int] = (64, 96)
-    seam: float = 1.0
+    seam: float = 3.0
     gradients_missing: tuple[str, ...] = ()
 
 

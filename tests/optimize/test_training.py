@@ -1,5 +1,6 @@
 import copy
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,7 +8,8 @@ from torch import nn
 from torch.testing import assert_close
 
 from stereokit import build_model
-from stereokit.optimize import prepare_for_inference, prepare_for_training
+from stereokit.errors import ConfigError
+from stereokit.optimize import copy_state, prepare_for_inference, prepare_for_training
 from stereokit.optimize.training import SmallConv3d, SmallConvTranspose3d, StridedDepthwise
 
 
@@ -22,12 +24,49 @@ def test_training_goes_on_as_before():
         assert_close(ours.grad, theirs.grad, rtol=1e-6, atol=1e-9, msg=name)
 
 
-def test_formats_are_set_in_place():
+def test_a_twin_shares_all_tensors_and_has_the_classes_to_itself():
     model = build_model("coex", max_disparity=32)
-    weights = [id(parameter) for parameter in model.parameters()]
-    assert prepare_for_training(model) is model
-    assert [id(parameter) for parameter in model.parameters()] == weights
-    assert all(m.weight.is_contiguous(memory_format=torch.channels_last_3d) for m in model.modules() if is_3d(m))
+    classes, names = [type(module) for module in model.modules()], list(model.state_dict())
+    tensors = dict((*model.named_parameters(), *model.named_buffers()))
+    twin = prepare_for_training(model)
+    assert [type(module) for module in model.modules()] == classes != [type(module) for module in twin.modules()]
+    assert list(model.state_dict()) == list(twin.state_dict()) == names
+    of_the_twin = dict((*twin.named_parameters(), *twin.named_buffers()))
+    assert all(of_the_twin[name] is tensor for name, tensor in tensors.items())
+    assert not {id(module) for module in model.modules()} & {id(module) for module in twin.modules()}
+    assert all(m.weight.is_contiguous(memory_format=torch.channels_last_3d) for m in twin.modules() if is_3d(m))
+
+
+def test_hooks_and_modes_stay_with_the_network():
+    model = nn.Sequential(nn.Conv3d(2, 2, 3), nn.BatchNorm3d(2)).eval()
+    seen = []
+    hook = model[0].register_forward_hook(lambda *_: seen.append(1))
+    twin = prepare_for_training(model).train()
+    hook.remove()
+    assert not model.training
+    model(torch.rand(1, 2, 3, 3, 3))
+    assert not seen
+    twin(torch.rand(2, 2, 4, 4, 4))
+    assert seen
+    assert model[1].num_batches_tracked == 1
+
+
+def test_what_moved_is_copied_back():
+    model = nn.Sequential(nn.Conv2d(3, 3, 1), nn.BatchNorm2d(3))
+    weight = model[0].weight
+    twin = prepare_for_training(model)
+    twin[1].running_var = torch.full((3,), 7.0)
+    twin[0].weight = nn.Parameter(torch.ones(3, 3, 1, 1))
+    copy_state(twin, model)
+    assert model[0].weight is weight
+    assert_close(dict(model.state_dict()), dict(twin.state_dict()), rtol=0, atol=0)
+
+
+def test_a_network_that_can_not_be_copied_is_one_line():
+    model = nn.Linear(2, 2)
+    model.computed = model.weight * 2
+    with pytest.raises(ConfigError, match="a Linear can't be copied to be made ready for training"):
+        prepare_for_training(model)
 
 
 def is_3d(module):

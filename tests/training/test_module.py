@@ -12,7 +12,8 @@ from stereokit.losses import masked_cross_entropy, stereo_loss
 from stereokit.training import Averaging, StereoTraining, TrainingError
 from stereokit.training.averaging import AveragedWeights
 from stereokit.training.module import MOST_BROKEN_STEPS
-from stereokit.training.recipe import Loss, Schedule
+from stereokit.training.recipe import Loss
+from stereokit.training.schedule import Schedule
 from tests.training.tiny import TINY
 
 

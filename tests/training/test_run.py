@@ -18,29 +18,34 @@ from torch import nn
 from stereokit.builder import build_model
 from stereokit.cli import main
 from stereokit.cli.synth import write_scenes
+from stereokit.data.disparity_files import write_disparity
 from stereokit.data.images import write_image
 from stereokit.data.synthetic import SyntheticScenes
 from stereokit.errors import CheckpointError, ConfigError, InputError
 from stereokit.inference import Predictor
 from stereokit.model import StereoModel
 from stereokit.runtime.provenance import file_sha256, state_sha256
-from stereokit.training import StereoTraining, TrainingSamples, train, with_length
+from stereokit.training import Machine, Recipe, StereoTraining, TrainingSamples, train, with_length
 from stereokit.training.data import StereoData
 from stereokit.training.module import TrainingError
 from stereokit.training.recipe import Loss
 from tests.training.tiny import TINY
 
 REPOSITORY = Path(__file__).parents[2]
-CPU = {"accelerator": "cpu", "devices": 1, "workers": 0}
+CPU = Machine(accelerator="cpu", devices=1, workers=0)
+
+
+def on_cpu(**settings):
+    return replace(CPU, **settings)
 
 
 @pytest.fixture(autouse=True)
 def _few_validation_scenes(monkeypatch):
-    monkeypatch.setattr("stereokit.training.run.VALIDATION_SCENES", 2)
+    monkeypatch.setattr("stereokit.training.opening.VALIDATION_SCENES", 2)
 
 
 def test_a_run_leaves_a_network_with_its_record(tmp_path, capsys):
-    outcome = train(TINY, tmp_path / "run", checkpoint_every=4, validate_every=3, **CPU)
+    outcome = train(TINY, tmp_path / "run", machine=on_cpu(checkpoint_every=4, validate_every=3))
     printed = capsys.readouterr().out
     assert printed.startswith("starts from random weights\n")
     assert "6/6 [" in printed
@@ -74,7 +79,7 @@ def test_a_run_leaves_a_network_with_its_record(tmp_path, capsys):
 def test_the_end_is_validated_once(tmp_path, monkeypatch, capsys, length):
     ends = []
     monkeypatch.setattr(StereoTraining, "on_validation_end", lambda self: ends.append(self.trainer.global_step))
-    outcome = train(TINY, tmp_path, validate_every=5, **length, **CPU)
+    outcome = train(TINY, tmp_path, **length, machine=on_cpu(validate_every=5))
     assert ends[-1] == outcome.record["steps"]
     assert len(set(ends)) == len(ends)
     assert outcome.record["validation"]["validation/bad_3"] == outcome.record["validation"]["synthetic/bad_3"]
@@ -82,35 +87,51 @@ def test_the_end_is_validated_once(tmp_path, monkeypatch, capsys, length):
 
 
 ENDLESS = """
-import sys
+import pathlib, sys, time
 from tests.training.tiny import TINY
-from stereokit.training import train
-import stereokit.training.run as run
-run.VALIDATION_SCENES = 2
+from stereokit.training import Machine, Recipe, StereoTraining, train
+import stereokit.training.opening as opening
+opening.VALIDATION_SCENES = 2
+
+start = StereoTraining.on_train_batch_start
+
+def hang(self, *arguments):
+    if self.trainer.global_step == 3:
+        pathlib.Path(sys.argv[2]).touch()
+        time.sleep(3600)
+    start(self, *arguments)
+
 if __name__ == "__main__":
-    train(TINY, sys.argv[1], accelerator="cpu", devices=1, workers=1, checkpoint_every=1, validate_every=4)
+    StereoTraining.on_train_batch_start = hang
+    machine = Machine(accelerator="cpu", devices=1, workers=1, checkpoint_every=1, validate_every=4)
+    train(TINY, sys.argv[1], machine=machine)
 """
 
 
 def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
-    unbroken = train(TINY, tmp_path / "unbroken", checkpoint_every=1, validate_every=4, **CPU)
-    script = tmp_path / "endless.py"
+    often = {"machine": on_cpu(checkpoint_every=1, validate_every=4)}
+    unbroken = train(TINY, tmp_path / "unbroken", **often)
+    script, hangs = tmp_path / "endless.py", tmp_path / "hangs"
     script.write_text(ENDLESS)
-    last = tmp_path / "killed" / "checkpoints" / "last.ckpt"
     process = subprocess.Popen(
-        [sys.executable, str(script), str(tmp_path / "killed")],
+        [sys.executable, str(script), str(tmp_path / "killed"), str(hangs)],
         env={**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    while not last.exists():
-        assert process.poll() is None
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    assert 1 <= torch.load(last, weights_only=True)["global_step"] <= TINY.schedule.steps
-    resumed = train(TINY, tmp_path / "killed", resume=True, checkpoint_every=1, validate_every=4, **CPU)
+    try:
+        for _ in range(3000):
+            if hangs.exists() or process.poll() is not None:
+                break
+            time.sleep(0.1)
+        assert hangs.exists()
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    assert torch.load(tmp_path / "killed" / "checkpoints" / "last.ckpt", weights_only=True)["global_step"] == 3
+    resumed = train(TINY, tmp_path / "killed", resume=True, **often)
     assert resumed.record["steps"] == 6
     assert resumed.record["pairs_seen"] == unbroken.record["pairs_seen"]
     for key, value in unbroken.model.state_dict().items():
@@ -120,30 +141,30 @@ def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
 
 
 def test_a_finished_run_can_be_made_longer(tmp_path, capsys):
-    train(with_length(TINY, steps=4), tmp_path, checkpoint_every=2, **CPU)
+    train(with_length(TINY, steps=4), tmp_path, machine=on_cpu(checkpoint_every=2))
     assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt"}
     with pytest.raises(ConfigError, match="is finished: it is at step 4, and 4 steps were asked for"):
-        train(with_length(TINY, steps=4), tmp_path, resume=True, **CPU)
+        train(with_length(TINY, steps=4), tmp_path, resume=True, machine=CPU)
     capsys.readouterr()
-    longer = train(with_length(TINY, steps=6), tmp_path, resume=True, checkpoint_every=4, **CPU)
+    longer = train(with_length(TINY, steps=6), tmp_path, resume=True, machine=on_cpu(checkpoint_every=4))
     assert "| 5/6 [" in capsys.readouterr().out
     assert longer.record["steps"] == 6
     assert longer.record["pairs_seen"] == 12
     with pytest.raises(ConfigError, match="is finished: it is at step 6, and 3 steps were asked for"):
-        train(with_length(TINY, steps=3), tmp_path, resume=True, **CPU)
+        train(with_length(TINY, steps=3), tmp_path, resume=True, machine=CPU)
 
 
 def test_a_run_that_its_minutes_ended_goes_on_with_more_of_them(tmp_path):
-    steps = train(TINY, tmp_path, minutes=1e-3, **CPU).record["steps"]
+    steps = train(TINY, tmp_path, minutes=1e-3, machine=CPU).record["steps"]
     assert steps < 6
     with pytest.raises(ConfigError, match=rf"is finished: it is at step {steps}, and 0.001 minutes were asked for"):
-        train(TINY, tmp_path, minutes=1e-3, resume=True, **CPU)
-    assert train(TINY, tmp_path, minutes=60, resume=True, **CPU).record["pairs_seen"] == 12
+        train(TINY, tmp_path, minutes=1e-3, resume=True, machine=CPU)
+    assert train(TINY, tmp_path, minutes=60, resume=True, machine=CPU).record["pairs_seen"] == 12
 
 
 def test_a_run_that_its_steps_ended_goes_on_with_more_of_them_in_the_same_minutes(tmp_path):
-    train(with_length(TINY, steps=2), tmp_path, minutes=60, **CPU)
-    assert train(with_length(TINY, steps=3), tmp_path, minutes=60, resume=True, **CPU).record["steps"] == 3
+    train(with_length(TINY, steps=2), tmp_path, minutes=60, machine=CPU)
+    assert train(with_length(TINY, steps=3), tmp_path, minutes=60, resume=True, machine=CPU).record["steps"] == 3
 
 
 class Killed(BaseException):
@@ -151,7 +172,7 @@ class Killed(BaseException):
 
 
 def test_a_run_that_is_killed_in_a_validation_repeats_it(tmp_path, monkeypatch):
-    often = {"checkpoint_every": 2, "validate_every": 2, **CPU}
+    often = {"machine": on_cpu(checkpoint_every=2, validate_every=2)}
     unbroken = train(TINY, tmp_path / "unbroken", **often)
     ends, validated = StereoTraining.on_validation_epoch_end, []
 
@@ -183,9 +204,9 @@ def test_a_checkpoint_that_can_not_be_written_leaves_the_one_before(tmp_path, mo
     with monkeypatch.context() as patched:
         patched.setattr(Trainer, "save_checkpoint", full)
         with pytest.raises(OSError, match="No space left"):
-            train(TINY, tmp_path, checkpoint_every=2, **CPU)
+            train(TINY, tmp_path, machine=on_cpu(checkpoint_every=2))
     assert "No space left" in json.loads((tmp_path / "run.json").read_text())["ended_by"]
-    assert train(TINY, tmp_path, checkpoint_every=2, resume=True, **CPU).record["pairs_seen"] == 12
+    assert train(TINY, tmp_path, resume=True, machine=on_cpu(checkpoint_every=2)).record["pairs_seen"] == 12
     assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt"}
 
 
@@ -195,9 +216,9 @@ def test_running_out_of_memory_is_one_line_and_the_folder_stays_free(tmp_path, m
 
     with monkeypatch.context() as patched:
         patched.setattr(StereoTraining, "training_step", full)
-        with pytest.raises(InputError, match="tiny: a step takes more memory than there is; a smaller --batch"):
-            train(TINY, tmp_path, **CPU)
-    assert train(with_length(TINY, steps=1, batch=1), tmp_path, **CPU).record["pairs_seen"] == 1
+        with pytest.raises(InputError, match="tiny: a step takes more memory than there is; use a smaller --batch"):
+            train(TINY, tmp_path, machine=CPU)
+    assert train(with_length(TINY, steps=1, batch=1), tmp_path, machine=CPU).record["pairs_seen"] == 1
 
 
 def test_a_validation_that_runs_out_of_memory_does_not_blame_the_batch(tmp_path, monkeypatch):
@@ -211,7 +232,7 @@ def test_a_validation_that_runs_out_of_memory_does_not_blame_the_batch(tmp_path,
 
     monkeypatch.setattr(StereoModel, "forward", full)
     with pytest.raises(InputError, match=r"a validation pair of [0-9]+ x [0-9]+ pixels takes more memory"):
-        train(TINY, tmp_path, model=model, **CPU)
+        train(TINY, tmp_path, model=model, machine=CPU)
 
 
 def test_a_record_that_can_not_be_written_does_not_hide_the_error(tmp_path, monkeypatch):
@@ -222,20 +243,20 @@ def test_a_record_that_can_not_be_written_does_not_hide_the_error(tmp_path, monk
 
     monkeypatch.setattr(StereoTraining, "training_step", end)
     with pytest.raises(TrainingError, match="told"):
-        train(TINY, tmp_path, **CPU)
+        train(TINY, tmp_path, machine=CPU)
 
 
 def test_a_run_is_of_the_commit_that_it_started_with(tmp_path, monkeypatch):
     commits = map(str, range(9))
     monkeypatch.setattr(sys.modules[train.__module__], "commit", lambda: next(commits))
-    record = train(with_length(TINY, steps=1), tmp_path, **CPU).record
+    record = train(with_length(TINY, steps=1), tmp_path, machine=CPU).record
     assert {record["commit"], json.loads((tmp_path / "run.json").read_text())["commit"]} == {"0"}
 
 
 def test_bfloat16_without_instructions_for_it_is_warned_of(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys.modules[train.__module__], "cpu_has", lambda _: False)
+    monkeypatch.setattr("stereokit.training.trainer.cpu_has", lambda _: False)
     with pytest.warns(UserWarning, match="no instructions for bfloat16, so that precision 'bf16-mixed' is slower"):
-        train(with_length(TINY, steps=1), tmp_path, precision="bf16-mixed", **CPU)
+        train(with_length(TINY, steps=1), tmp_path, machine=on_cpu(precision="bf16-mixed"))
 
 
 def test_an_interruption_stays_one(tmp_path, monkeypatch):
@@ -245,15 +266,76 @@ def test_an_interruption_stays_one(tmp_path, monkeypatch):
     monkeypatch.setattr(StereoTraining, "training_step", interrupt)
     handler = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
-        train(TINY, tmp_path, **CPU)
+        train(TINY, tmp_path, machine=CPU)
     assert signal.getsignal(signal.SIGINT) is handler
 
 
+def written_pairs(folder, disparity):
+    """Two pairs of noise in the layout of `folder`, with one disparity everywhere."""
+    for index in range(2):
+        (folder / str(index)).mkdir(parents=True)
+        for view in ("left", "right"):
+            noise = np.random.default_rng(index).integers(0, 256, (48, 80, 3), np.uint8)
+            write_image(folder / str(index) / f"{view}.png", noise)
+        write_disparity(folder / str(index) / "disparity.pfm", np.full((48, 80), disparity, np.float32))
+    return f"folder:{folder}"
+
+
 def test_validation_pairs_without_truth_that_counts_do_not_end_a_run(tmp_path):
-    recipe = replace(with_length(TINY, steps=1), loss=Loss(max_disparity=1e-3))
+    right, wrong = written_pairs(tmp_path / "right", 5), written_pairs(tmp_path / "wrong", -5)
     with pytest.warns(UserWarning, match="no pixel of the validation pairs has ground truth that counts"):
-        train(recipe, tmp_path, **CPU)
-    assert not (tmp_path / "best").exists()
+        train(with_length(TINY, steps=1), tmp_path / "run", data=[right], validation=[wrong], machine=CPU)
+    assert not (tmp_path / "run" / "best").exists()
+
+
+def test_training_on_nothing_is_refused_ahead(tmp_path):
+    right, wrong = written_pairs(tmp_path / "right", 5), written_pairs(tmp_path / "wrong", -5)
+    for data in ([wrong], [right, wrong]):
+        with pytest.raises(InputError, match=r"wrong: no pixel of the ground truth counts, .*100 % are negative"):
+            train(TINY, tmp_path / "run", data=data, machine=CPU)
+    with pytest.raises(InputError, match=r"rendered scenes: no pixel .* at or above max_disparity"):
+        train(replace(TINY, loss=Loss(max_disparity=1e-3)), tmp_path / "run", machine=CPU)
+    assert not (tmp_path / "run").exists()
+
+
+def kinds(network):
+    return [type(module) for module in network.modules()]
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_network_that_was_given_keeps_its_classes_and_learns(tmp_path, monkeypatch, interrupted, moved):
+    model = build_model("coex", max_disparity=32).eval()
+    model.register_forward_hook(lambda *_: None)
+    before, classes = {key: value.clone() for key, value in model.state_dict().items()}, kinds(model)
+    weights, hooks = list(map(id, model.parameters())), dict(model._forward_hooks)
+    if moved:
+        # as to a GPU, where buffers are others
+        monkeypatch.setattr(StereoTraining, "setup", lambda self, stage: self._apply(torch.clone))
+    if interrupted:
+        start = StereoTraining.on_train_batch_start
+
+        def interrupt(self, *arguments):
+            start(self, *arguments)
+            if self.trainer.global_step == 2:
+                raise KeyboardInterrupt
+
+        monkeypatch.setattr(StereoTraining, "on_train_batch_start", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            train(TINY, tmp_path, model=model, machine=CPU)
+    else:
+        outcome = train(TINY, tmp_path, model=model, machine=CPU)
+        assert outcome.model is model
+        saved = StereoModel.from_pretrained(outcome.network).state_dict()
+        assert all(torch.equal(value, saved[key]) for key, value in model.state_dict().items())
+    assert kinds(model) == classes
+    assert list(map(id, model.parameters())) == weights
+    assert model._forward_hooks == hooks
+    assert list(model.state_dict()) == list(before)
+    assert not any(module.training for module in model.modules())
+    changed = [key for key, value in model.state_dict().items() if not torch.equal(value, before[key])]
+    assert any("running_mean" in key for key in changed)
+    assert any("weight" in key for key in changed)
 
 
 def test_a_run_that_is_killed_in_its_last_validation_still_has_its_end_to_come(tmp_path, monkeypatch):
@@ -263,46 +345,46 @@ def test_a_run_that_is_killed_in_its_last_validation_still_has_its_end_to_come(t
     with monkeypatch.context() as patched:
         patched.setattr(StereoTraining, "on_validation_epoch_end", kill)
         with pytest.raises(Killed):
-            train(TINY, tmp_path, checkpoint_every=4, **CPU)
-    outcome = train(TINY, tmp_path, resume=True, checkpoint_every=4, **CPU)
+            train(TINY, tmp_path, machine=on_cpu(checkpoint_every=4))
+    outcome = train(TINY, tmp_path, resume=True, machine=on_cpu(checkpoint_every=4))
     assert (outcome.record["steps"], outcome.record["pairs_seen"]) == (6, 12)
     assert outcome.record["validation"]
 
 
 def test_only_the_run_that_is_there_is_resumed(tmp_path):
     run = tmp_path / "run"
-    train(with_length(TINY, steps=1), run, **CPU)
+    train(with_length(TINY, steps=1), run, machine=CPU)
     with pytest.raises(InputError, match="holds a run already; go on with it by --resume"):
-        train(TINY, run, **CPU)
+        train(TINY, run, machine=CPU)
     with pytest.raises(ConfigError, match="was started with seed 0, not 1"):
-        train(TINY, run, seed=1, resume=True, **CPU)
+        train(TINY, run, seed=1, resume=True, machine=CPU)
     with pytest.raises(ConfigError, match=r"schedule.batch 2, not 4"):
-        train(with_length(TINY, batch=4), run, resume=True, **CPU)
+        train(with_length(TINY, batch=4), run, resume=True, machine=CPU)
     write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=1), tmp_path / "data", split="test")
     with pytest.raises(ConfigError, match=r"was started with validate \[\], not"):
-        train(TINY, run, validation=[f"sceneflow/test:{tmp_path / 'data'}"], resume=True, **CPU)
+        train(TINY, run, validation=[f"sceneflow/test:{tmp_path / 'data'}"], resume=True, machine=CPU)
     with pytest.raises(ConfigError, match="was started with start None"):
-        train(TINY, run, model=build_model("coex", max_disparity=32), resume=True, **CPU)
+        train(TINY, run, model=build_model("coex", max_disparity=32), resume=True, machine=CPU)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
     with pytest.raises(InputError, match="is not empty and holds no run"):
-        train(TINY, tmp_path / "other", **CPU)
+        train(TINY, tmp_path / "other", machine=CPU)
     (run / "checkpoints" / "last.ckpt").write_bytes(b"broken")
     with pytest.raises(CheckpointError, match=r"last.ckpt.* can't be read"):
-        train(TINY, run, resume=True, **CPU)
+        train(TINY, run, resume=True, machine=CPU)
 
 
 def test_a_run_from_before_a_setting_existed_is_resumed(tmp_path):
-    train(with_length(TINY, steps=1), tmp_path, **CPU)
+    train(with_length(TINY, steps=1), tmp_path, machine=CPU)
     record = json.loads((tmp_path / "run.json").read_text())
     del record["recipe"]["loss"]["cross_entropy"]
     (tmp_path / "run.json").write_text(json.dumps(record))
     with pytest.raises(ConfigError, match="was started with loss"):
-        train(with_length(replace(TINY, loss=Loss(cross_entropy=1)), steps=2), tmp_path, resume=True, **CPU)
+        train(with_length(replace(TINY, loss=Loss(cross_entropy=1)), steps=2), tmp_path, resume=True, machine=CPU)
     enlarged = replace(TINY, augmentation=replace(TINY.augmentation, scale_range=(1.0, 1.5)))
     with pytest.raises(ConfigError, match=r"with augmentation {'scale_range': \[1.0, 1.0\]}, not {'scale_range': \[1"):
-        train(with_length(enlarged, steps=2), tmp_path, resume=True, **CPU)
-    assert train(with_length(TINY, steps=2), tmp_path, resume=True, **CPU).record["steps"] == 2
+        train(with_length(enlarged, steps=2), tmp_path, resume=True, machine=CPU)
+    assert train(with_length(TINY, steps=2), tmp_path, resume=True, machine=CPU).record["steps"] == 2
 
 
 def test_photographs_are_known_by_their_content(tmp_path):
@@ -311,23 +393,26 @@ def test_photographs_are_known_by_their_content(tmp_path):
     for name in ("a.png", "brick.png"):
         write_image(photographs / name, np.full((40, 40, 3), 90, np.uint8))
     recipe = with_length(TINY, steps=1)
-    record = train(recipe, tmp_path / "run", textures=photographs, **CPU).record
+    record = train(recipe, tmp_path / "run", textures=photographs, machine=CPU).record
     assert record["textures"] == {name: file_sha256(photographs / name) for name in ("a.png", "brick.png")}
     moved = photographs.rename(tmp_path / "moved")
-    assert train(with_length(TINY, steps=2), tmp_path / "run", textures=moved, resume=True, **CPU).record["steps"] == 2
+    assert (
+        train(with_length(TINY, steps=2), tmp_path / "run", textures=moved, resume=True, machine=CPU).record["steps"]
+        == 2
+    )
     write_image(moved / "brick.png", np.full((40, 40, 3), 91, np.uint8), overwrite=True)
     with pytest.raises(ConfigError, match=r"was started with textures {'brick.png': "):
-        train(with_length(TINY, steps=3), tmp_path / "run", textures=moved, resume=True, **CPU)
+        train(with_length(TINY, steps=3), tmp_path / "run", textures=moved, resume=True, machine=CPU)
 
 
 def test_settings_that_do_not_go_together(tmp_path):
     files = replace(TINY, scenes=None, data="kitti2015/train:ROOT")
     with pytest.raises(InputError, match="give --data kitti2015/train:ROOT"):
-        train(files, tmp_path / "run", **CPU)
+        train(files, tmp_path / "run", machine=CPU)
     with pytest.raises(ConfigError, match="minutes is -1"):
-        train(TINY, tmp_path / "run", minutes=-1, **CPU)
+        train(TINY, tmp_path / "run", minutes=-1, machine=CPU)
     with pytest.raises(ConfigError, match=r"\[scenes\].*'bars'"):
-        train(replace(TINY, scenes={"bars": 3}), tmp_path / "run", **CPU)
+        train(replace(TINY, scenes={"bars": 3}), tmp_path / "run", machine=CPU)
     assert not (tmp_path / "run").exists()
 
 
@@ -343,15 +428,56 @@ def test_a_recipe_for_fine_tuning_wants_weights(tmp_path, name, capsys):
 def test_a_network_to_go_on_from_is_what_the_recipe_says(tmp_path):
     start = build_model("coex", max_disparity=64, top_k=3)
     with pytest.raises(ConfigError, match=r"is for max_disparity 32, and the network .* has max_disparity 64"):
-        train(TINY, tmp_path / "run", model=start, **CPU)
+        train(TINY, tmp_path / "run", model=start, machine=CPU)
     with pytest.raises(ConfigError, match="is for name 'psmnet', and the network to go on from has name 'coex'"):
-        train(replace(TINY, model={"name": "psmnet"}), tmp_path / "run", model=start, **CPU)
+        train(replace(TINY, model={"name": "psmnet"}), tmp_path / "run", model=start, machine=CPU)
     assert not (tmp_path / "run").exists()
+    with pytest.raises(ConfigError, match="network-from weights has no effect without --weights"):
+        train(TINY, tmp_path / "run", network_from="weights", machine=CPU)
+    with pytest.raises(ConfigError, match="network_from is 'given'; use 'recipe' or 'weights'"):
+        train(TINY, tmp_path / "run", model=start, network_from="given", machine=CPU)
+    given = {"model": start, "network_from": "weights", "machine": CPU}
+    outcome = train(with_length(TINY, steps=1), tmp_path / "as_it_is", **given)
+    assert outcome.model.config == outcome.record["recipe"]["model"] == start.config
     # what the recipe leaves open may differ, and networks come in eval mode
     recipe = with_length(replace(TINY, model={"name": "coex"}), steps=1)
-    outcome = train(recipe, tmp_path / "run", model=start.eval(), **CPU)
+    outcome = train(recipe, tmp_path / "run", model=start.eval(), machine=CPU)
     assert outcome.model.config == start.config
     assert any("running_mean" in name and value.abs().sum() > 0 for name, value in outcome.model.named_buffers())
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [("smooth_l2", "did you mean 'smooth_l1'"), ({"name": "smooth_l1", "beta": 2}, "no argument 'beta'")],
+)
+def test_a_loss_that_nobody_knows_is_refused(tmp_path, kind, words):
+    with pytest.raises(ConfigError, match=words):
+        train(replace(TINY, loss=Loss(kind=kind)), tmp_path / "run", machine=CPU)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32, 1.0, True])
+def test_a_seed_is_a_whole_number(tmp_path, seed):
+    with pytest.raises(ConfigError, match=r"seed is .*; expected a whole number from 0"):
+        train(TINY, tmp_path / "run", seed=seed, machine=CPU)
+
+
+@pytest.mark.parametrize(
+    ("schedule", "optimisation"),
+    [
+        ({"kind": "one_cycle", "warmup": 0.3}, {"kind": "rmsprop", "gradient_clip": 0.1, "gradient_clip_by": "value"}),
+        ({"kind": "exponential", "factor": 0.5}, {"kind": "adamw", "weight_decay": 0.01}),
+    ],
+)
+def test_other_optimisers_and_schedules_run_and_resume(tmp_path, schedule, optimisation):
+    values = {**TINY.to_dict(), "schedule": {"batch": 2, "steps": 1, **schedule}, "optimisation": optimisation}
+    recipe = Recipe.from_dict(values)
+    train(recipe, tmp_path, machine=CPU)
+    for key in ("schedule", "optimisation"):
+        other = with_length(replace(recipe, **{key: getattr(TINY, key)}), steps=2)
+        with pytest.raises(ConfigError, match=f"was started with {key}"):
+            train(other, tmp_path, resume=True, machine=CPU)
+    assert train(with_length(recipe, steps=2), tmp_path, resume=True, machine=CPU).record["steps"] == 2
 
 
 def test_the_best_network_is_kept(tmp_path, monkeypatch):
@@ -363,7 +489,7 @@ def test_the_best_network_is_kept(tmp_path, monkeypatch):
         self.errors["validation/bad_3"] = next(found)
 
     monkeypatch.setattr(StereoTraining, "on_validation_epoch_end", end)
-    train(TINY, tmp_path, validate_every=2, **CPU)
+    train(TINY, tmp_path, machine=on_cpu(validate_every=2))
     record = json.loads((tmp_path / "best" / "training.json").read_text())
     assert (record["steps"], record["validation"]["validation/bad_3"]) == (4, 10.0)
     best = StereoModel.from_pretrained(tmp_path / "best")
@@ -373,7 +499,7 @@ def test_the_best_network_is_kept(tmp_path, monkeypatch):
     # the checkpoint of the end does not know the validation of its step
     found = iter([15.0, 5.0])
     for steps, best in ((7, 10.0), (8, 5.0)):
-        train(with_length(TINY, steps=steps), tmp_path, validate_every=steps, resume=True, **CPU)
+        train(with_length(TINY, steps=steps), tmp_path, resume=True, machine=on_cpu(validate_every=steps))
         record = json.loads((tmp_path / "best" / "training.json").read_text())
         assert record["validation"]["validation/bad_3"] == best
 
@@ -381,14 +507,14 @@ def test_the_best_network_is_kept(tmp_path, monkeypatch):
 def test_the_length_changes_from_epochs_to_steps(tmp_path):
     recipe = replace(TINY, schedule=replace(TINY.schedule, steps=None, epochs=3, milestones=(1.0,)))
     recipe = replace(recipe, scenes={**TINY.scenes, "count": 2})
-    train(recipe, tmp_path, **CPU)
+    train(recipe, tmp_path, machine=CPU)
     more = replace(recipe, schedule=replace(recipe.schedule, epochs=4))
-    assert train(more, tmp_path, resume=True, **CPU).record["steps"] == 4
-    longer = train(with_length(recipe, steps=5), tmp_path, resume=True, **CPU)
+    assert train(more, tmp_path, resume=True, machine=CPU).record["steps"] == 4
+    longer = train(with_length(recipe, steps=5), tmp_path, resume=True, machine=CPU)
     assert longer.record["steps"] == 5
     other = replace(recipe, schedule=replace(recipe.schedule, epochs=6, milestones=(3.0,)))
     with pytest.raises(ConfigError, match=r"was started with schedule\.milestones"):
-        train(other, tmp_path, resume=True, **CPU)
+        train(other, tmp_path, resume=True, machine=CPU)
 
 
 def test_pairs_without_ground_truth_are_refused_ahead(tmp_path):
@@ -400,7 +526,7 @@ def test_pairs_without_ground_truth_are_refused_ahead(tmp_path):
     blind, seeing = f"folder:{tmp_path / 'pairs'}", f"sceneflow/train:{tmp_path / 'data'}"
     for sets in ({"data": [blind]}, {"data": [seeing], "validation": [blind]}):
         with pytest.raises(InputError, match=r"2 of 2 pairs of 'folder:.*' have no ground truth"):
-            train(TINY, tmp_path / "run", **sets, **CPU)
+            train(TINY, tmp_path / "run", **sets, machine=CPU)
     assert not (tmp_path / "run").exists()
 
 
@@ -410,7 +536,7 @@ def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path, resume):
     image = sorted((tmp_path / "data").rglob("left/*.png"))[0]
     whole = image.read_bytes()
     image.write_bytes(whole[:100])
-    recipe, settings = with_length(TINY, steps=1), {**CPU, "workers": 1}
+    recipe, settings = with_length(TINY, steps=1), {"machine": on_cpu(workers=1)}
     data = [f"sceneflow/train:{tmp_path / 'data'}"]
     with pytest.raises(InputError) as caught:
         train(recipe, tmp_path / "run", data=data, **settings)
@@ -418,7 +544,7 @@ def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path, resume):
     assert image.name in str(caught.value)
     assert json.loads((tmp_path / "run" / "run.json").read_text())["ended_by"] == str(caught.value)
     image.write_bytes(whole)
-    assert train(recipe, tmp_path / "run", data=data, resume=resume, **CPU).record["steps"] == 1
+    assert train(recipe, tmp_path / "run", data=data, resume=resume, machine=CPU).record["steps"] == 1
     assert "ended_by" not in json.loads((tmp_path / "run" / "run.json").read_text())
 
 
@@ -469,7 +595,7 @@ def test_nothing_is_said_that_does_not_help(tmp_path, caplog, recwarn):
     files = replace(with_length(TINY, steps=1), scenes=None)
     for length in (1, 2):
         data = [f"sceneflow/train:{tmp_path / 'data'}"]
-        outcome = train(with_length(files, steps=length), tmp_path / "run", data=data, resume=length > 1, **CPU)
+        outcome = train(with_length(files, steps=length), tmp_path / "run", data=data, resume=length > 1, machine=CPU)
         assert outcome.record["validation"] == {}
     assert [record.getMessage() for record in caplog.records] == []
     assert [str(warning.message) for warning in recwarn] == []
@@ -482,7 +608,7 @@ def test_the_command_explains(tmp_path, capsys):
     assert main(["train", "--recipe", "synthetic", "--out", str(tmp_path / "run"), "--devices", "two"]) == 2
     assert "--devices is a number of devices, or auto" in capsys.readouterr().err
     assert main(["train", "--recipe", "synthetic", "--out", str(tmp_path / "run"), "--top-k", "7"]) == 2
-    assert "--top-k are for published checkpoints; give --weights" in capsys.readouterr().err
+    assert "--top-k can only be given for published checkpoints; use --weights" in capsys.readouterr().err
     assert main(["train", "--recipe", "sceneflow", "--out", str(tmp_path / "run")]) == 2
     assert "give --data sceneflow/train:ROOT" in capsys.readouterr().err
 
@@ -497,7 +623,7 @@ def test_the_command_explains(tmp_path, capsys):
 )
 def test_what_the_machine_does_not_have_is_one_line(tmp_path, given, words, capsys):
     with pytest.raises(ConfigError, match=words) as caught:
-        train(TINY, tmp_path / "run", **{**CPU, **given})
+        train(TINY, tmp_path / "run", machine=on_cpu(**given))
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "run").exists()
 

@@ -287,7 +287,9 @@ def test_the_hub_is_not_asked_for_what_is_no_repository(no_hub, tmp_path, monkey
 
 @pytest.mark.parametrize("name", ["coez", "PSMNet", "nofolder", "coex.synthetic_v99", "./nofolder"])
 def test_unknown_names_of_networks_are_not_asked_for_either(no_hub, name):
-    with pytest.raises(CheckpointError, match=f"unknown network '{name}'; .*an exported file") as refusal:
+    with pytest.raises(
+        CheckpointError, match=f"unknown network '{name}', and no file or folder; .*an exported file"
+    ) as refusal:
         Predictor(name)
     assert "Known: coex, coex.synthetic_v7" in str(refusal.value)
     assert ("did you mean 'coex" in str(refusal.value)) == name.startswith("coe")

@@ -68,8 +68,7 @@ def crop(sample: StereoSample, *, top: int, left: int, height: int, width: int) 
         disparity=disparity,
         nonocc=nonocc,
         objects=None if sample.objects is None else window(sample.objects),
-        calibration=camera
-        and replace(camera, cx0=camera.cx0 - left, cx1=camera.cx1 - left, width=width, height=height),
+        calibration=camera and camera.sized(rows, columns).cropped(top=top, left=left, height=height, width=width),
         right_disparity=right_disparity,
         right_nonocc=right_nonocc,
     )
@@ -134,15 +133,7 @@ def scale(sample: StereoSample, *, height: int, width: int) -> StereoSample:
         disparity=None if sample.disparity is None else place(sample.disparity),
         nonocc=None if sample.nonocc is None else pick(sample.nonocc),
         objects=None if sample.objects is None else pick(sample.objects),
-        calibration=camera
-        and replace(
-            camera,
-            fx=camera.fx * ratio,
-            cx0=(camera.cx0 + 0.5) * ratio - 0.5,
-            cx1=(camera.cx1 + 0.5) * ratio - 0.5,
-            width=width,
-            height=height,
-        ),
+        calibration=camera and camera.sized(rows, columns).scaled(height=height, width=width, stretch=True),
         right_disparity=None if sample.right_disparity is None else place(sample.right_disparity),
         right_nonocc=None if sample.right_nonocc is None else pick(sample.right_nonocc),
     )
@@ -218,7 +209,7 @@ def flip_and_swap(sample: StereoSample) -> StereoSample:
         disparity=disparity,
         nonocc=nonocc,
         objects=objects,
-        calibration=camera and replace(camera, cx0=width - 1 - camera.cx1, cx1=width - 1 - camera.cx0),
+        calibration=camera and camera.sized(height, width).mirrored(),
         right_disparity=right_disparity,
         right_nonocc=right_nonocc,
     )

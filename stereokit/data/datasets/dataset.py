@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar, overload
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.data.calibration import Calibration
+from stereokit.calibration.rectified import Calibration
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.images import read_image
 from stereokit.errors import InputError

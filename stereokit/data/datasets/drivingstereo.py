@@ -3,7 +3,8 @@
 import re
 from pathlib import Path
 
-from stereokit.data.calibration import Calibration, read_drivingstereo_calibration
+from stereokit.calibration.formats.kitti import read_drivingstereo_calibration
+from stereokit.calibration.rectified import Calibration
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, first_folder, image_names, list_folder, make_dataset
 from stereokit.data.disparity_arrays import PathLike

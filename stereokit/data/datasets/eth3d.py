@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from stereokit.data.calibration import read_middlebury_calibration
+from stereokit.calibration.formats.middlebury import read_middlebury_calibration
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, first_folder, list_folder, make_dataset
 from stereokit.data.datasets.middlebury import read_nonocc_mask

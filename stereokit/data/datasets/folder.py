@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-from stereokit.data.calibration import Calibration, read_calibration
+from stereokit.calibration import Calibration, read_calibration
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import (
     check_choice,

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.data.calibration import read_kitti_calibration
+from stereokit.calibration.formats.kitti import read_kitti_calibration
 from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, first_folder, image_names, list_folder, make_dataset
 from stereokit.data.disparity_arrays import PathLike

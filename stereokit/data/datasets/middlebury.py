@@ -9,7 +9,7 @@ import os
 from functools import partial
 from pathlib import Path
 
-from stereokit.data.calibration import read_middlebury_calibration
+from stereokit.calibration.formats.middlebury import read_middlebury_calibration
 from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, check_number, images_in, list_folder, make_dataset
 from stereokit.data.disparity_arrays import Disparity, PathLike

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stereokit.data.calibration import Calibration
+from stereokit.calibration.rectified import Calibration
 from stereokit.data.datasets import StereoSample
 
 CAMERA = Calibration(fx=100.0, baseline=0.5, cx0=20.0, cx1=23.0, width=48, height=32)

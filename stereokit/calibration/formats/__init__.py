@@ -1,0 +1,1 @@
+"""Calibration files, a module per format."""

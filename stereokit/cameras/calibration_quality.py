@@ -1,0 +1,147 @@
+"""How good the calibration of a rig is, and what to do about it."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereokit.cameras.rectification import Rectification
+from stereokit.cameras.rig import Camera, Rig
+
+__all__ = ["Quality", "cautions", "coverage", "epipolar_rms", "spread"]
+
+_CELLS = (6, 8)  # rows and columns
+_LEAST_COVERAGE = 0.6
+_LEAST_TILT = 20.0  # degrees
+_LEAST_DISTANCES = 1.5
+_MOST_RMS = 0.5  # px
+_MOST_HELD_OUT = 1.5
+_MOST_REJECTED = 0.25
+_FOCAL_LENGTHS = 0.05
+
+
+class _Seen(Protocol):
+    @property
+    def left(self) -> npt.NDArray[np.float64]: ...
+
+    @property
+    def right(self) -> npt.NDArray[np.float64]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """Errors in pixels, and where the board was.
+
+    Attributes:
+        views: that were used.
+        rms: of the distances between corners and where the rig puts them.
+        epipolar_rms: of the differences of rows after rectification.
+        held_out_rms: the same on views that the solution had not seen.
+        left_coverage: (6, 8) corners in each cell of the left image.
+        right_coverage: the same of the right image.
+        tilt: the largest angle between two positions of the board, in degrees.
+        distances: of the nearest and of the farthest board, in metres.
+    """
+
+    views: int
+    rms: float
+    epipolar_rms: float
+    held_out_rms: float
+    left_coverage: npt.NDArray[np.intp]
+    right_coverage: npt.NDArray[np.intp]
+    tilt: float
+    distances: tuple[float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The values, ready for JSON."""
+        lists = {side: getattr(self, side).tolist() for side in ("left_coverage", "right_coverage")}
+        return {**asdict(self), **lists, "distances": list(self.distances)}
+
+
+def epipolar_rms(rectification: Rectification, rig: Rig, views: Iterable[_Seen]) -> float:
+    """Root mean square of the difference of rows, in rectified pixels. NaN without views."""
+    matrix = np.array(
+        [
+            [rectification.calibration.fx, 0, rectification.calibration.cx0],
+            [0, rectification.calibration.fy, rectification.calibration.known_cy()],
+            [0, 0, 1],
+        ]
+    )
+    errors = [
+        _rectified(rig.left, view.left, rectification.left_rotation, matrix)[:, 1]
+        - _rectified(rig.right, view.right, rectification.right_rotation, matrix)[:, 1]
+        for view in views
+    ]
+    return float(np.sqrt(np.square(np.concatenate(errors)).mean())) if errors else float("nan")
+
+
+def coverage(points: Iterable[npt.NDArray[np.float64]], size: tuple[int, int]) -> npt.NDArray[np.intp]:
+    """How many corners lie in each cell of a grid of 6 rows and 8 columns."""
+    x, y = np.concatenate(list(points)).T
+    counts, *_ = np.histogram2d(y, x, bins=_CELLS, range=[[-0.5, size[0] - 0.5], [-0.5, size[1] - 0.5]])
+    return counts.astype(np.intp)
+
+
+def spread(turns: Sequence[Any], places: Sequence[Any]) -> tuple[float, tuple[float, float]]:
+    """The largest angle between two boards in degrees, and the nearest and farthest of them in metres."""
+    normals = np.stack([cv2.Rodrigues(np.asarray(turn, np.float64))[0][:, 2] for turn in turns])
+    angles = np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1)))
+    distances = [float(np.linalg.norm(place)) for place in places]
+    return float(angles.max()), (min(distances), max(distances))
+
+
+def cautions(quality: Quality, rig: Rig, views: int, rejected: int) -> tuple[str, ...]:
+    """What may be wrong with a calibration, in words that say what to do."""
+    return tuple(_cautions(quality, rig, views, rejected))
+
+
+def _cautions(quality: Quality, rig: Rig, views: int, rejected: int) -> Iterator[str]:
+    for side, counts in (("left", quality.left_coverage), ("right", quality.right_coverage)):
+        share = float((counts > 0).mean())
+        corners = counts[[0, 0, -1, -1], [0, -1, 0, -1]]
+        if share < _LEAST_COVERAGE:
+            yield (
+                f"the board was seen in {share:.0%} of the {side} image; show it in all of it, at least "
+                f"{_LEAST_COVERAGE:.0%}"
+            )
+        elif (corners == 0).any():
+            yield (
+                f"the board was never seen in {(corners == 0).sum()} of the 4 corners of the {side} image; show "
+                "it there too"
+            )
+    if quality.tilt < _LEAST_TILT:
+        yield f"the board was tilted by {quality.tilt:.0f} degrees at most; tilt it by 20 to 45, in all directions"
+    near, far = quality.distances
+    if far < _LEAST_DISTANCES * near:
+        yield f"the board was {near:.2g} to {far:.2g} m away; show it at distances that differ by more, such as 1 : 2"
+    if quality.rms > _MOST_RMS:
+        yield (
+            f"the error is {quality.rms:.2f} px; expected 0.5 or less: check that the board is flat and its sizes "
+            "are right"
+        )
+    # half a tenth of a pixel is noise
+    if quality.held_out_rms > max(_MOST_HELD_OUT * quality.epipolar_rms, 0.05):
+        yield (
+            f"rows differ by {quality.held_out_rms:.2f} px in views held out and by {quality.epipolar_rms:.2f} px "
+            "in the others; "
+            "take more views"
+        )
+    if rejected > _MOST_REJECTED * views:
+        yield f"{rejected} of {views} views were rejected; check that both cameras take their pictures at one moment"
+    ratio = rig.left.fx / rig.right.fx
+    if abs(ratio - 1) > _FOCAL_LENGTHS:
+        yield f"the focal lengths are {rig.left.fx:.0f} and {rig.right.fx:.0f} px; expected two cameras alike"
+
+
+def _rectified(
+    camera: Camera, points: npt.NDArray[np.float64], rotation: npt.NDArray[np.float64], matrix: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    given = points.reshape(-1, 1, 2), camera.matrix, camera.coefficients
+    if camera.model == "fisheye":
+        found = cv2.fisheye.undistortPoints(*given, R=rotation, P=matrix)
+    else:
+        found = cv2.undistortPoints(*given, R=rotation, P=matrix)
+    return np.asarray(found, np.float64).reshape(-1, 2)

@@ -1,0 +1,88 @@
+"""Networks and predictors as the options of a command name them."""
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from stereokit.errors import ConfigError
+from stereokit.inference import Predictor
+from stereokit.weights.opening import (
+    NetworkPlace,
+    find_network,
+    load_network,
+    open_network,
+    open_published,
+    trained_network,
+)
+
+if TYPE_CHECKING:
+    from stereokit.network import StereoNetwork
+
+__all__ = ["check_published_options", "find_chosen_network", "load_chosen_network", "load_predictor"]
+
+PREDICTOR_SETTINGS = ("precision", "max_memory", "too_large", "scale")
+
+
+def find_chosen_network(options: argparse.Namespace) -> NetworkPlace:
+    """Where the network is that `--weights` names; without it the default weights of `--model`, or of CoEx.
+
+    Raises:
+        StereoKitError: see `find_network` and `trained_network`.
+    """
+    if options.weights is None:
+        # nothing on disk under the network's name was meant
+        return trained_network(options.model or "coex")
+    return find_network(options.weights)
+
+
+def load_chosen_network(options: argparse.Namespace) -> "StereoNetwork":
+    """The network that the options `weights`, `model`, `channel_order` and `top_k` name.
+
+    Raises:
+        StereoKitError: there is none, it is an exported file, or an option has no effect on it.
+    """
+    place = find_chosen_network(options)
+    place.check_module()
+    settings = _settings(options, place)
+    return _open_published(options, place, settings) if place.kind == "published" else load_network(place, **settings)
+
+
+def load_predictor(options: argparse.Namespace) -> Predictor:
+    """What runs the network of `load_chosen_network`, or an exported file, as the predictor's own options say.
+
+    Raises:
+        StereoKitError: see `open_network` and `Predictor`.
+    """
+    place = find_chosen_network(options)
+    given = _settings(options, place)
+    opened = _open_published(options, place, given) if place.kind == "published" else open_network(place, **given)
+    settings = {name: value for name in PREDICTOR_SETTINGS if (value := getattr(options, name)) is not None}
+    return Predictor(opened, options.device, options.backend, **settings)
+
+
+def check_published_options(options: argparse.Namespace) -> None:
+    """Raises `ConfigError` for options of published checkpoints where no weights are given at all."""
+    if options.channel_order is not None or options.top_k is not None:
+        raise ConfigError(
+            "--channel-order and --top-k can only be given for published checkpoints; use --weights with one, or "
+            "leave them out"
+        )
+
+
+def _settings(options: argparse.Namespace, place: NetworkPlace) -> dict[str, Any]:
+    """The arguments of `open_network`."""
+    place.check_published_options(channel_order=options.channel_order, top_k=options.top_k)
+    overrides = {} if options.top_k is None else {"top_k": options.top_k}
+    return {"network": options.model, "channel_order": options.channel_order, **overrides}
+
+
+def _open_published(options: argparse.Namespace, place: NetworkPlace, settings: dict[str, Any]) -> "StereoNetwork":
+    """The network of a published checkpoint; says what was taken for granted."""
+    model, report = open_published(place.name, **settings)
+    order = report.channel_order.upper()
+    said = "" if options.channel_order else f", as the authors' are (--channel-order {_other(order)} if these are not)"
+    print(f"{place.name}: {report.network}, {report.loaded} tensors, taken to be trained on {order} images{said}")
+    return model
+
+
+def _other(order: str) -> str:
+    return "rgb" if order == "BGR" else "bgr"

@@ -1,0 +1,159 @@
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stereokit.data import read_disparity, write_image
+from tests.cli.commands import fails, run
+
+
+def test_predict_writes_all_formats_and_says_so(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    out = images / "out"
+    code, said, _ = run(
+        capsys, "predict", images / "left/a.png", images / "right/a.png", "--weights", weights, "--out", out
+    )
+    assert code == 0
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        ["a_disparity.png", "a_disparity.pfm", "a_disparity.npz", "a_picture.png"]
+    )
+    disparity = read_disparity(out / "a_disparity.pfm")
+    assert disparity.shape == (40, 50)
+    assert f"disparity {disparity.min():.1f} to {disparity.max():.1f} px" in said
+    assert "50 x 40 px" in said
+    assert " s on " in said
+    assert all(str(path) in said for path in out.iterdir())
+
+
+@pytest.mark.parametrize(("left", "right"), [("left", "right"), ("left/*.png", "right/*.png")])
+def test_predict_takes_folders_and_patterns(
+    capsys: pytest.CaptureFixture[str], images: Path, weights: str, left: str, right: str
+) -> None:
+    code, said, shown = run(
+        capsys, "predict", images / left, images / right, "--weights", weights, "--out", images / "out"
+    )
+    assert code == 0
+    assert len(list((images / "out").iterdir())) == 8
+    assert "a: 50 x 40" in said
+    assert "b: 50 x 40" in said
+    assert "2/2" in shown
+
+
+def test_predict_goes_on_after_a_broken_pair(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    (images / "left/a.png").write_text("broken")
+    code, said, err = run(
+        capsys, "predict", images / "left", images / "right", "--weights", weights, "--out", images / "out"
+    )
+    assert code == 2
+    assert "b: 50 x 40" in said
+    assert "1 of 2 pairs could not be matched: a" in err
+    assert len(list((images / "out").iterdir())) == 4
+
+
+def test_predict_says_which_networks_have_weights(capsys: pytest.CaptureFixture[str], images: Path) -> None:
+    pair = images / "left/a.png", images / "right/a.png"
+    said = fails(capsys, "predict", *pair, "--model", "psmnet", "--out", images / "out")
+    assert "no weights for 'psmnet'; there are coex.synthetic_v7" in said
+    assert "use (--weights) a saved network" in said
+    said = fails(capsys, "predict", *pair, "--model", "psmnet", "--weights", "coex.synthetic_v7")
+    assert "holds a coex, not a psmnet" in said
+    said = fails(capsys, "predict", *pair, "--top-k", "3", "--out", images / "out")
+    assert "can only be given for published checkpoints" in said
+    assert not (images / "out").exists()
+
+
+def test_predict_without_weights_takes_those_of_the_library(capsys: pytest.CaptureFixture[str], images: Path) -> None:
+    code, said, _ = run(capsys, "predict", images / "left/a.png", images / "right/a.png", "--out", images / "out")
+    assert code == 0
+    assert "50 x 40 px" in said
+
+
+def test_the_name_of_a_network_stands_for_its_weights(
+    capsys: pytest.CaptureFixture[str], images: Path, weights: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(images)
+    pair = "left/a.png", "right/a.png"
+    assert run(capsys, "predict", *pair, "--out", "default")[0] == 0
+    assert run(capsys, "predict", *pair, "--out", "named", "--weights", "coex")[0] == 0
+    assert Path("named/a_disparity.pfm").read_bytes() == Path("default/a_disparity.pfm").read_bytes()
+    # a folder of that name goes first
+    shutil.copytree(weights, "coex")
+    assert run(capsys, "predict", *pair, "--out", "folder", "--weights", "coex")[0] == 0
+    assert Path("folder/a_disparity.pfm").read_bytes() != Path("default/a_disparity.pfm").read_bytes()
+    # but not where no place was given
+    assert run(capsys, "predict", *pair, "--out", "model", "--model", "coex")[0] == 0
+    assert Path("model/a_disparity.pfm").read_bytes() == Path("default/a_disparity.pfm").read_bytes()
+
+
+def test_predict_keeps_existing_files(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    arguments = ("predict", images / "left/a.png", images / "right/a.png", "--weights", weights, "--out", images / "o")
+    assert run(capsys, *arguments)[0] == 0
+    assert "--overwrite" in fails(capsys, *arguments)
+    assert run(capsys, *arguments, "--overwrite")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("left/none.png", "right/a.png"), "none.png' does not exist"),
+        (("left", "right/a.png"), "is a folder and"),
+        (("left/a.png", "right/small.png"), "one size"),
+        (("left/text.png", "right/a.png"), "no image"),
+        (("left/a.png", "right/a.png", "--model", "coexx"), "did you mean 'coex'"),
+        (("left/a.png", "right/a.png", "--device", "tpu"), "use 'auto' or 'cpu'"),
+        (("left/a.png", "right/a.png", "--model", "psmnet", "--weights", "SAVED"), "holds a coex, not a psmnet"),
+        (("left/a.png", "right/a.png", "--weights", "nowhere"), "unknown network 'nowhere', and no file or folder"),
+        (("left/a.png", "right/a.png", "--weights", "coex.synthetic_v1"), "did you mean 'coex.synthetic_v7'"),
+        (("left/a.png", "right/a.png", "--weights", "psmnet"), "no weights for 'psmnet'; there are coex.synthetic_v7"),
+        (("left/a.png", "right/a.png", "--weights", "left/program.pt2"), "which torch.export.load reads"),
+        (
+            ("left/a.png", "right/a.png", "--top-k", "3", "--weights", "SAVED"),
+            "top_k (--top-k) can only be given for published",
+        ),
+        (("left/a.png", "right/a.png", "--weights", "left/a.png"), "a.png"),
+        (("left/a.png", "left/b.png", "right/a.png"), "in quotes"),
+        (("left/a.png",), "right"),
+        (("left/a.png", "right/a.png", "--out", "left/b.png"), "the folder 'left/b.png': it is a file"),
+        (("left/a.png", "right/a.png", "--out", "left/b.png/below/it"), "left/b.png' is a file; choose another folder"),
+    ],
+)
+def test_bad_input_is_one_line(
+    capsys: pytest.CaptureFixture[str],
+    images: Path,
+    weights: str,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    message: str,
+) -> None:
+    monkeypatch.chdir(images)
+    write_image("right/small.png", np.zeros((33, 50, 3), np.uint8))
+    Path("left/text.png").write_text("no image at all")
+    Path("left/program.pt2").touch()
+    given = [weights if a == "SAVED" else a for a in arguments]
+    if "--weights" not in given and "--model" not in given:
+        given += ["--weights", weights]
+    assert message in fails(capsys, "predict", *given)
+    assert not Path("disparity").exists()
+
+
+def test_the_folder_for_results_is_looked_at_before_the_network_is_loaded(
+    capsys: pytest.CaptureFixture[str], images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair = images / "left/a.png", images / "right/a.png"
+    absent = ("--weights", images / "absent")
+    assert "it is a file" in fails(capsys, "predict", *pair, *absent, "--out", images / "left/a.png")
+    (images / "link").symlink_to("away")
+    assert "it is no folder" in fails(capsys, "predict", *pair, *absent, "--out", images / "link")
+    # the tests may run as root, who may write anywhere
+    monkeypatch.setattr("os.access", lambda place, mode: False)
+    assert f"'{images}' may not be written to" in fails(capsys, "predict", *pair, *absent, "--out", images / "out")
+
+
+def test_a_failing_pair_leaves_no_folder(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    for side in ("left", "right"):
+        for name in ("a", "b"):
+            (images / side / f"{name}.png").write_text("broken")
+    for chosen in ("", "a.png"):
+        arguments = (images / "left" / chosen, images / "right" / chosen, "--weights", weights)
+        assert run(capsys, "predict", *arguments, "--out", images / "out")[0] == 2
+    assert not (images / "out").exists()
