@@ -6,7 +6,6 @@ from torch import Tensor, nn
 
 from stereokit.errors import ConfigError
 from stereokit.guidance.shapes import check_guide
-from stereokit.layers import init_convolutions
 from stereokit.registry import GUIDANCE
 
 __all__ = ["MSCA"]
@@ -21,7 +20,7 @@ class MSCA(nn.Module):
         C_o = W_2 \Bigl(a + \sum_n S_{n \times 1} S_{1 \times n} a\Bigr) \times C_i
 
     The strips S convolve each channel by itself, :math:`1 \times n` along the row first. In contrast to `GCE` the
-    factor is not bounded, and may be negative.
+    factor is not bounded, and may be negative; it starts small, as PyTorch's initialisation has it: no norm follows.
 
     Args:
         guide_channels: of the image features I.
@@ -53,7 +52,6 @@ class MSCA(nn.Module):
             nn.Sequential(_strip(volume_channels, 1, n), _strip(volume_channels, n, 1)) for n in lengths
         )
         self.mix = nn.Conv2d(volume_channels, volume_channels, 1)
-        init_convolutions(self)
 
     def factors(self, guide: Tensor) -> Tensor:
         """What the channels of the volume are multiplied with, (B, volume_channels, H, W)."""

@@ -1,5 +1,7 @@
 """Blocks in networks that did not bring them: (network, what is chosen otherwise)."""
 
+import json
+
 import pytest
 import torch
 
@@ -19,21 +21,42 @@ SWAPS = [
     ("stereonet_8x", {"guidance": "gce", "top_k": 2}),
     ("stereonet_8x", {"upsampler": "bilinear", "cost": "correlation"}),
     ("stereonet_16x", {"upsampler": "bilinear", "refinements": []}),
+    ("coex", {"guidance": "msca"}),
+    ("psmnet", {"guidance": "msca", "guidance_at": "one"}),
+    ("lightstereo_s", {"guidance": "gce"}),
+    ("lightstereo_s", {"guidance": "neighborhood", "guidance_at": "one"}),
+    ("lightstereo_s", {"guidance": "none", "top_k": 2}),
+    ("coex", {"aggregation": "inverted_residual"}),
+    ("psmnet", {"aggregation": "inverted_residual"}),
+    ("gcnet", {"aggregation": "inverted_residual", "upsampler": "bilinear"}),
+    ("coex", {"backbone": "feature_pyramid"}),
+    ("psmnet", {"backbone": "feature_pyramid"}),
+    ("lightstereo_s", {"backbone": "unet"}),
+    ("coex", {"upsampler": "image_superpixel"}),
+    ("psmnet", {"upsampler": "image_superpixel"}),
+    ("lightstereo_s", {"upsampler": "superpixel"}),
+    ("lightstereo_s", {"aggregation": "hourglass"}),
+    ("lightstereo_s", {"cost": "concatenation"}),
 ]
 
 
 @pytest.mark.parametrize(("network", "overrides"), SWAPS)
-def test_a_block_fits_another_network(network, overrides):
+def test_a_block_works_in_another_network(network, overrides):
     model = build_model(network, max_disparity=64, **overrides)
-    assert build_model(model.config).config == model.config
     left, right = torch.rand(2, 2, 3, 64, 96)
     output = model(left, right)
-    truth = torch.full_like(left[:, 0], 5.0)
-    stereo_loss(output, truth, auxiliary_weights=model.auxiliary_weights).backward()
-    for name, parameter in model.named_parameters():
-        assert parameter.grad is not None, name
-        assert parameter.grad.isfinite().all(), name
+    loss = stereo_loss(output, torch.full_like(left[:, 0], 5.0), auxiliary_weights=model.auxiliary_weights)
+    loss.backward()
+    assert loss.isfinite()
+    assert [name for name, p in model.named_parameters() if p.grad is None] == []
+    assert all(p.grad.isfinite().all() for p in model.parameters())
+    config = json.loads(json.dumps(model.config))
+    assert build_model(config).config == config
+
+
+@pytest.mark.slow
+def test_lightstereo_takes_a_larger_encoder():
+    model = build_model("lightstereo_l", backbone={"encoder": "efficientnetv2_rw_s"}, max_disparity=64).eval()
+    assert model.backbone.info.guide_channels == {4: 48, 8: 64, 16: 160, 32: 272}
     with torch.inference_mode():
-        disparity = model.eval()(left, right).disparity
-    assert disparity.shape == (2, 64, 96)
-    assert disparity.isfinite().all()
+        assert model(*torch.rand(2, 1, 3, 64, 96)).disparity.isfinite().all()
