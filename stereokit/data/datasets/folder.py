@@ -1,6 +1,5 @@
 """One's own pairs: a folder of them, or a list file."""
 
-import os
 import shlex
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -19,7 +18,7 @@ from stereokit.data.datasets.middlebury import read_nonocc_mask
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_files import read_disparity
 from stereokit.data.images import IMAGE_SUFFIXES, read_file_bytes
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 from stereokit.registry import suggest
 
 __all__ = ["folder"]
@@ -108,18 +107,18 @@ def _from_list(path: Path, read: Callable[[Path], Disparity]) -> Iterator[Stereo
     try:
         lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise InputError(f"{os.fspath(path)!r} is no list of pairs: it is not UTF-8 text ({error.reason})") from error
+        raise InputError(f"{printable(path)} is no list of pairs: it is not UTF-8 text ({error.reason})") from error
     for number, line in enumerate(lines, start=1):
         try:
             words = shlex.split(line, comments=True)
         except ValueError as error:
-            raise InputError(f"{os.fspath(path)!r}, line {number}: {error}") from error
+            raise InputError(f"{printable(path)}, line {number}: {error}") from error
         if words:
             yield _from_line(path, number, words, read)
 
 
 def _from_line(path: Path, number: int, words: list[str], read: Callable[[Path], Disparity]) -> StereoEntry:
-    where = f"{os.fspath(path)!r}, line {number}"
+    where = f"{printable(path)}, line {number}"
     files = [word for word in words if "=" not in word]
     values = dict(word.split("=", 1) for word in words if "=" in word)
     if len(files) not in (2, 3):

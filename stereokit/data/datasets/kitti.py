@@ -6,7 +6,6 @@ are fixed by the number of the frame: it is validation if the number can be divi
 ...), which gives 20 of the 194 frames of 2012 and 20 of the 200 frames of 2015.
 """
 
-import os
 import re
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -21,7 +20,7 @@ from stereokit.data.datasets.layout import check_choice, first_folder, image_nam
 from stereokit.data.disparity_arrays import PathLike
 from stereokit.data.disparity_png import is_grey, read_kitti_png
 from stereokit.data.images import read_samples
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
 __all__ = ["is_validation_frame", "kitti2012", "kitti2015", "kitti_raw"]
 
@@ -185,5 +184,5 @@ def _read_nonocc(path: Path) -> Mask:
 def _read_objects(path: Path) -> npt.NDArray[np.uint8]:
     samples = read_samples(path)
     if samples.dtype != np.uint8 or not is_grey(samples):
-        raise InputError(f"{os.fspath(path)!r}: expected an object map, an 8-bit grey PNG")
+        raise InputError(f"{printable(path)}: expected an object map, an 8-bit grey PNG")
     return samples if samples.ndim == 2 else samples[:, :, 0]

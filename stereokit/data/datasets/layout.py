@@ -1,13 +1,12 @@
 """How the data sets find their files, and what they say where they find others."""
 
-import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry
 from stereokit.data.images import IMAGE_SUFFIXES
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
 __all__ = [
     "NoPairs",
@@ -97,17 +96,17 @@ def make_dataset(
     """
     if not entries and filled:
         raise InputError(
-            f"split {split!r} of {kind} is empty in {os.fspath(root)!r}; the pairs there are of split "
+            f"split {split!r} of {kind} is empty in {printable(root)}; the pairs there are of split "
             f"{' or '.join(map(repr, filled))}"
         )
     if not entries:
         raise NoPairs(
-            f"no pairs of {kind}, split {split!r}, in {os.fspath(root)!r}: "
+            f"no pairs of {kind}, split {split!r}, in {printable(root)}: "
             f"expected {' or '.join(expected)}; found {_describe(root)}"
         )
     name, count = Counter(entry.name for entry in entries).most_common(1)[0]
     if count > 1:
-        raise InputError(f"{count} pairs of {kind} in {os.fspath(root)!r} have the name {name!r}; expected one")
+        raise InputError(f"{count} pairs of {kind} in {printable(root)} have the name {name!r}; expected one")
     return StereoDataset(kind, root, split, entries, passed_over=passed_over)
 
 

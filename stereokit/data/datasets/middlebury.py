@@ -5,7 +5,6 @@ as they are published (`middlebury2014`), and the older scenes of 2001 to 2006 w
 (`middlebury_older`).
 """
 
-import os
 from functools import partial
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_png import read_scaled_png
 from stereokit.data.images import read_file_bytes, read_image_size, read_samples
 from stereokit.data.pfm import read_pfm
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
 __all__ = ["middlebury2014", "middlebury_older", "middlebury_v3", "read_nonocc_mask"]
 
@@ -188,7 +187,7 @@ def _published_scale(truth: Path, left: Path) -> float:
         words = read_file_bytes(info, 1024).split()
         if words and words[0].isdigit() and int(words[0]) > 0:
             return float(words[0])
-        raise InputError(f"{os.fspath(info)!r}: expected the scale of the disparity in its first line")
+        raise InputError(f"{printable(info)}: expected the scale of the disparity in its first line")
     scene = truth.parent.name.lower()
     width, _ = read_image_size(left)
     if truth.stem == "disp1":
@@ -198,6 +197,6 @@ def _published_scale(truth: Path, left: Path) -> float:
     if scene in _SCALES_2001:
         return _SCALES_2001[scene]
     raise InputError(
-        f"{os.fspath(truth)!r} does not say by how much its disparity was scaled, and the scene {scene!r} is "
+        f"{printable(truth)} does not say by how much its disparity was scaled, and the scene {scene!r} is "
         "not one of the published ones; give scale=, the stored value of one pixel of disparity"
     )
