@@ -109,14 +109,12 @@ def as_array(values: Any) -> npt.NDArray[Any]:
         values = values.detach().cpu()
         # numpy has no bfloat16
         values = values.float() if values.is_floating_point() else values
+    if isinstance(values, str | bytes | os.PathLike):
+        raise InputError(f"got {printable(values)}; expected an array or a tensor of numbers")
     try:
-        array = np.asarray(values)
-    except ValueError:
-        array = np.asarray(None)
-    if array.dtype.kind not in "biufc":
-        shown = printable(values) if isinstance(values, str | os.PathLike) else type(values).__name__
-        raise InputError(f"got {shown}; expected an array or a tensor of numbers")
-    return array
+        return np.asarray(values)
+    except ValueError as error:
+        raise InputError(f"got a {type(values).__name__} of rows that are not alike; expected an array") from error
 
 
 def _check_values(tensor: Tensor, name: str) -> None:

@@ -124,8 +124,8 @@ def test_a_pair_has_one_size_and_one_type() -> None:
     [
         ("left.png", "got 'left.png'; expected an array"),
         (Path("left.png"), "got 'left.png'; expected an array"),
-        ([[1], [1, 2]], "got list; expected an array"),
-        (None, "got NoneType"),
+        ([[1], [1, 2]], "got a list of rows that are not alike; expected an array"),
+        (b"left.png", "got b'left.png'; expected an array"),
         (torch.zeros(2, device="meta"), "meta device"),
         (torch.zeros(2, 2).to_sparse(), "the tensor is sparse"),
     ],

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stereokit.data.calibration import read_middlebury_calibration
 from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDataset, StereoEntry
-from stereokit.data.datasets.layout import check_choice, check_number, images_in, list_folder, make_dataset
+from stereokit.data.datasets.layout import check_choice, check_number, images_in, is_visible, list_folder, make_dataset
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_png import read_scaled_png
 from stereokit.data.images import read_file_bytes, read_image_size, read_samples
@@ -118,7 +118,12 @@ def middlebury_older(root: PathLike, *, split: str = "all", scale: float | None 
     factor = None if scale is None else check_number("scale", scale)
     folders = [
         root,
-        *(path for pattern in ("*", "*/*", "*/*/*") for path in sorted(root.glob(pattern)) if path.is_dir()),
+        *(
+            path
+            for pattern in ("*", "*/*", "*/*/*")
+            for path in sorted(root.glob(pattern))
+            if path.is_dir() and is_visible(path, root)
+        ),
     ]
     found = {folder: _older_entry(root, folder, factor) for folder in folders}
     entries = [entry for entry in found.values() if entry]

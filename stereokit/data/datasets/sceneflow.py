@@ -20,6 +20,7 @@ from stereokit.data.datasets.layout import (
     check_choice,
     first_folder,
     image_names,
+    is_visible,
     list_folder,
     make_dataset,
 )
@@ -107,6 +108,8 @@ def _frames(root: Path, base: Path, image_pass: str) -> Iterator[_Found]:
         if frames is None:
             continue
         for left in sorted((*frames.glob("*/left"), *frames.glob("*/*/*/left"))):
+            if not is_visible(left, frames):
+                continue
             place = left.relative_to(frames).parent
             part, split = _part_and_split(place.parts[0])
             for entry in _entries(root, left.parent, truths / place / "left" if truths else None):
