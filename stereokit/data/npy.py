@@ -141,4 +141,5 @@ def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]
 
 
 def _first_line(error: BaseException) -> str:
-    return (str(error) or repr(error)).splitlines()[0][:120]
+    # where an object lies is no news
+    return re.sub(r" at 0x[0-9a-f]+", "", (str(error) or repr(error)).splitlines()[0])[:120]

@@ -237,4 +237,4 @@ class StereoDataset(Sequence[StereoSample]):
 
     def missing_files(self) -> list[Path]:
         """The files of the data set that are not there."""
-        return [path for entry in self.entries for path in entry.paths if not path.is_file()]
+        return [path for entry in self.entries for path in entry.paths if not os.path.isfile(path)]

@@ -1,6 +1,7 @@
 """One's own pairs: a folder of them, or a list file."""
 
 import csv
+import os
 import re
 import warnings
 from collections.abc import Iterator
@@ -164,7 +165,7 @@ def _from_list(path: Path, reader: _TruthReader) -> Iterator[StereoEntry]:
     for number, line in enumerate(lines, start=1):
         try:
             words = _words(line)
-            if words and "," in line and not _file(path.parent, words[0]).exists():
+            if words and "," in line and not os.path.exists(_file(path.parent, words[0])):
                 row = next(csv.reader([re.sub(r"(^|\s)#.*", "", line)], skipinitialspace=True))
                 words = [word.strip() for word in row if word.strip()]
         except (ValueError, csv.Error) as error:
@@ -210,14 +211,14 @@ def _words(line: str) -> list[str]:
 
 def _file(folder: Path, name: str) -> Path:
     """A file of a list, whose backslashes may be those of Windows."""
-    path = folder / name
-    return folder / name.replace("\\", "/") if "\\" in name and not path.exists() else path
+    path = folder / name  # which may be too long for the system: os.path answers, pathlib raises
+    return folder / name.replace("\\", "/") if "\\" in name and not os.path.exists(path) else path
 
 
 def _from_line(path: Path, number: int, words: list[str], reader: _TruthReader) -> StereoEntry:
     where = f"{printable(path)}, line {number}"
     # a name may hold "=" too
-    files = [word for word in words if not _KEY.match(word) or _file(path.parent, word).exists()]
+    files = [word for word in words if not _KEY.match(word) or os.path.exists(_file(path.parent, word))]
     values = dict(word.split("=", 1) for word in words if word not in files)
     if len(files) not in (2, 3):
         raise InputError(
