@@ -13,6 +13,7 @@ __all__ = [
     "check_choice",
     "check_number",
     "first_folder",
+    "folders_below",
     "image_names",
     "images_by_stem",
     "images_in",
@@ -47,6 +48,14 @@ def list_folder(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+
+
+def folders_below(root: Path, depth: int) -> list[Path]:
+    """A folder and the visible ones below it, down to so many levels; nothing where it is none."""
+    if not root.is_dir():
+        return []
+    below = [path for path in list_folder(root) if path.is_dir()] if depth else []
+    return [root, *(folder for path in below for folder in folders_below(path, depth - 1))]
 
 
 def images_in(folder: Path) -> list[Path]:

@@ -10,14 +10,22 @@ from pathlib import Path
 
 from stereokit.data.calibration import read_middlebury_calibration
 from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDataset, StereoEntry
-from stereokit.data.datasets.layout import check_choice, check_number, images_in, is_visible, list_folder, make_dataset
+from stereokit.data.datasets.layout import (
+    check_choice,
+    check_number,
+    first_folder,
+    folders_below,
+    images_in,
+    list_folder,
+    make_dataset,
+)
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_png import read_scaled_png
 from stereokit.data.images import read_file_bytes, read_image_size, read_samples
 from stereokit.data.pfm import read_pfm
 from stereokit.errors import InputError, printable
 
-__all__ = ["middlebury2014", "middlebury_older", "middlebury_v3", "read_nonocc_mask"]
+__all__ = ["middlebury2014", "middlebury2021", "middlebury_older", "middlebury_v3", "read_nonocc_mask"]
 
 _RESOLUTIONS = ("F", "H", "Q")
 
@@ -93,6 +101,31 @@ def middlebury2014(root: PathLike, *, split: str = "all") -> StereoDataset:
     return make_dataset("middlebury2014", root, split, entries, expected=["Adirondack-perfect/im0.png"])
 
 
+@DATASETS.register("middlebury2021")
+def middlebury2021(root: PathLike, *, split: str = "all") -> StereoDataset:
+    """Middlebury's scenes of 2021, taken with a mobile phone: 24 pairs, full size, `disp0.pfm` and `disp1.pfm`.
+
+    The pictures are `im0.png` and `im1.png`; those of other exposures and lights, which lie beside them, are not read.
+
+    Args:
+        root: holds the scenes' folders, such as `artroom1/im0.png`, or a folder `data` that does.
+        split: "all".
+
+    Raises:
+        InputError: another tree, or an unknown split.
+
+    Source: https://vision.middlebury.edu/stereo/data/scenes2021/.
+    """
+    root = Path(root)
+    check_choice("split", split, ("all",))
+    entries = [
+        _entry(scene, scene.name, "disp0.pfm", required=False)
+        for scene in list_folder(first_folder([root / "data"]) or root)
+        if (scene / "im0.png").is_file() or (scene / "im1.png").is_file()
+    ]
+    return make_dataset("middlebury2021", root, split, entries, expected=["artroom1/im0.png"])
+
+
 @DATASETS.register("middlebury_older")
 def middlebury_older(root: PathLike, *, split: str = "all", scale: float | None = None) -> StereoDataset:
     """Middlebury's scenes of 2001, 2003, 2005 and 2006, and those of the second evaluation, in 8-bit
@@ -116,16 +149,7 @@ def middlebury_older(root: PathLike, *, split: str = "all", scale: float | None 
     root = Path(root)
     check_choice("split", split, ("all",))
     factor = None if scale is None else check_number("scale", scale)
-    folders = [
-        root,
-        *(
-            path
-            for pattern in ("*", "*/*", "*/*/*")
-            for path in sorted(root.glob(pattern))
-            if path.is_dir() and is_visible(path, root)
-        ),
-    ]
-    found = {folder: _older_entry(root, folder, factor) for folder in folders}
+    found = {folder: _older_entry(root, folder, factor) for folder in folders_below(root, 3)}
     entries = [entry for entry in found.values() if entry]
     passed_over = [
         folder.relative_to(root).as_posix() for folder, entry in found.items() if not entry and images_in(folder)

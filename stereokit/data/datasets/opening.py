@@ -1,6 +1,7 @@
 """A data set by its name and place."""
 
 import os
+import warnings
 from typing import Any
 
 from stereokit.data.datasets.dataset import DATASETS, StereoDataset
@@ -68,7 +69,9 @@ def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = F
 
 
 def _opens(kind: str, root: str) -> bool:
-    try:
-        return bool(DATASETS.build(kind, {"root": root}))
-    except StereoKitError:
-        return False
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return bool(DATASETS.build(kind, {"root": root}))
+        except StereoKitError:
+            return False
