@@ -28,7 +28,7 @@ def correlation_volume(left: Tensor, right: Tensor, planes: Planes) -> Tensor:
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
-        planes: D, for the disparities 0 .. D - 1, or candidates (B, D, H, W); in pixels of the maps.
+        planes: D, for the disparities 0 ... D - 1, or candidates (B, D, H, W); in pixels of the maps.
 
     Returns:
         (B, 1, D, H, W), in [-1, 1]. All-zero features give 0.
@@ -60,7 +60,7 @@ def groupwise_correlation_volume(
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
-        planes: D, for the disparities 0 .. D - 1, or candidates (B, D, H, W); in pixels of the maps.
+        planes: D, for the disparities 0 ... D - 1, or candidates (B, D, H, W); in pixels of the maps.
         groups: G, which divides C.
         normalise: cosine similarity per group in place of the mean product.
 
