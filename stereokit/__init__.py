@@ -1,8 +1,23 @@
 """Stereo matching components: blocks registered by name, and a builder that composes them into networks."""
 
 from stereokit._version import __version__
-from stereokit.aggregation import EncoderDecoder, Hourglass, InvertedResidualHourglass, StackedHourglass
-from stereokit.backbones import FeaturePyramid, ResidualTower, SpatialPyramid, UNet
+from stereokit.aggregation import (
+    EncoderDecoder,
+    GwcHourglass,
+    Hourglass,
+    InvertedResidualHourglass,
+    PlainAggregation,
+    StackedHourglass,
+)
+from stereokit.backbones import (
+    FeaturePyramid,
+    GwcTrunk,
+    ResidualTower,
+    SpatialPyramid,
+    StridedTower,
+    TopDownPyramid,
+    UNet,
+)
 from stereokit.builder import build_model
 from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
@@ -18,8 +33,23 @@ from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregat
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
-from stereokit.models import coex, gcnet, lightstereo_l, lightstereo_m, lightstereo_s, psmnet
+from stereokit.models import (
+    DispNetC,
+    casstereo_gwc,
+    casstereo_psm,
+    coex,
+    gcnet,
+    gwcnet_g,
+    gwcnet_gc,
+    lightstereo_l,
+    lightstereo_m,
+    lightstereo_s,
+    psmnet,
+    stereonet_8x,
+    stereonet_16x,
+)
 from stereokit.network import StereoNetwork
+from stereokit.refinement import EdgeAwareRefinement
 from stereokit.registry import (
     AGGREGATIONS,
     BACKBONES,
@@ -62,18 +92,23 @@ __all__ = [
     "ConfigError",
     "CorrelationVolume",
     "DifferenceVolume",
+    "DispNetC",
     "DisparityRange",
     "DisparityResult",
+    "EdgeAwareRefinement",
     "EncoderDecoder",
     "ExportedFile",
     "FeaturePyramid",
     "GroupwiseCorrelationVolume",
+    "GwcHourglass",
+    "GwcTrunk",
     "Hourglass",
     "ImageSuperpixelUpsampler",
     "InputError",
     "InvertedResidualHourglass",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
+    "PlainAggregation",
     "Predictor",
     "ResidualTower",
     "SoftArgmin",
@@ -83,14 +118,20 @@ __all__ = [
     "StereoModel",
     "StereoNetwork",
     "StereoOutput",
+    "StridedTower",
     "SuperpixelUpsampler",
+    "TopDownPyramid",
     "TopKSoftArgmin",
     "UNet",
     "UniformCandidates",
     "__version__",
     "build_model",
+    "casstereo_gwc",
+    "casstereo_psm",
     "coex",
     "gcnet",
+    "gwcnet_g",
+    "gwcnet_gc",
     "lightstereo_l",
     "lightstereo_m",
     "lightstereo_s",
@@ -102,4 +143,6 @@ __all__ = [
     "open_network",
     "psmnet",
     "stereo_loss",
+    "stereonet_8x",
+    "stereonet_16x",
 ]

@@ -92,12 +92,7 @@ def build_model(model: str | Mapping[str, Any], *, pretrained: bool | str = Fals
         model = {"name": model}
     elif pretrained:
         raise ConfigError("pretrained weights belong to a network's name, not to a configuration")
-    network = rebuild(model, **overrides)
-    if not isinstance(network, StereoNetwork):
-        raise ConfigError(
-            f"model {model['name']!r} is a {type(network).__name__}, not a StereoNetwork; derive its class from "
-            "stereokit.StereoNetwork"
-        )
+    network: StereoNetwork = rebuild(model, **overrides)
     return network
 
 
@@ -165,7 +160,7 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     pretrained = bool(overrides.pop("pretrained_backbone", False))
     expand_shorthands(overrides)
     _check_names(recipe, presets, overrides)
-    choice: dict[str, Any] = {**recipe, **overrides}
+    choice: dict[str, Any] = {**recipe, **{key: _completed(recipe.get(key), o) for key, o in overrides.items()}}
     _check_effects(recipe, overrides)
     seen = Choice("backbone", choice["backbone"], recipe["backbone"], presets)
     backbone = cast(Backbone, seen.build(pretrained=pretrained))
@@ -178,11 +173,11 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
         stages.append(Stage(**blocks, stride=merged["stride"], loss_weight=merged["loss_weight"]))
         coarse.append({**resolved, "stride": merged["stride"], "loss_weight": merged["loss_weight"]})
     refinements = [Choice("refinement", given, presets=presets) for given in choice["refinements"]]
-    ends_at = refinements[0].arguments.get("stride", 1) if refinements and refinements[0].block is None else 1
+    ends_at = _stride_of(refinements[0]) if refinements else 1
     blocks, resolved = _build_stage({**choice, "stride": stride}, recipe, presets, ends_at=ends_at, **common)
     mended = [
         refinement.build(
-            stride=refinement.arguments.get("stride", 1) if refinement.block is None else None,
+            **({"stride": 1} if refinement.chosen("stride") is None else {}),
             guide_channels={1: 3, **backbone.info.guide_channels},
             max_disparity=choice["max_disparity"],
         )
@@ -211,6 +206,12 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
         ),
         config=as_json({**choice, **parts}),
     )
+
+
+def _completed(component: Any, override: Any) -> Any:
+    """A choice without a name, which changes arguments of the recipe's own component, in full."""
+    nameless = isinstance(override, Mapping) and not {"name", "instance"} & override.keys()
+    return {**component, **override} if nameless and isinstance(component, Mapping) else override
 
 
 def _build_stage(
@@ -278,6 +279,14 @@ def _build_aggregation(
             "aggregation that takes guidance"
         )
     return aggregation, {"guidance": maker.choice.resolved, "guidance_at": settings["guidance_at"]}
+
+
+def _stride_of(refinement: Choice) -> int:
+    """Of what a refinement gives, 1 unless it was chosen."""
+    stride = 1 if (given := refinement.chosen("stride")) is None else given
+    if isinstance(stride, bool) or not isinstance(stride, int) or stride < 1:
+        raise ConfigError(f"{refinement} has stride {stride!r}; expected a whole number from 1 up")
+    return stride
 
 
 def _coarse_settings(settings: Any, choice: Mapping[str, Any], *, first: bool) -> dict[str, Any]:

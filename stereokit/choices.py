@@ -112,6 +112,10 @@ class Choice:
         """Whether it is the component of this name, without arguments."""
         return self.block is None and self.name == name and not any(self.arguments.values())
 
+    def chosen(self, name: str) -> Any:
+        """The argument of this name that was given, or what a block made elsewhere has; None without one."""
+        return self.arguments.get(name) if self.block is None else getattr(self.block, name, None)
+
     def attribute(self, name: str, default: Any) -> Any:
         """What the block, or the class that is going to be built, says of itself."""
         return getattr(self.registry.get(self.name) if self.block is None else self.block, name, default)

@@ -104,6 +104,11 @@ def rebuild(config: Mapping[str, Any], **overrides: Any) -> Any:
             override = {**settings[slot], **override}
         settings[slot] = override
     network = MODELS.build(name, settings)
+    if not isinstance(network, nn.Module) or not hasattr(network, "match"):
+        raise ConfigError(
+            f"model {name!r} is a {type(network).__name__}, not a StereoNetwork; derive its class from "
+            "stereokit.StereoNetwork"
+        )
     if getattr(network, "_config", "none of its own") is None:
         # a registered class, which knows nothing of its name
         network._config = as_json({"name": name, **MODELS.resolve(name, settings, {})})

@@ -216,7 +216,7 @@ class Cost(Protocol):
     def __call__(self, left: Tensor, right: Tensor, candidates: Tensor | None = None) -> Tensor:
         """Two (B, in_channels, h, w) maps to (B, out_channels, planes, h, w).
 
-        `candidates` are (B, planes, h, w), in pixels of the maps; None for 0, 1, .., planes - 1.
+        `candidates` are (B, planes, h, w), in pixels of the maps; None for 0, 1, ..., planes - 1.
         """
 
 
@@ -249,7 +249,7 @@ class Regression(Protocol):
     """The fewest levels that it can work on."""
 
     def __call__(self, logits: Tensor, candidates: Tensor | None = None) -> Tensor:
-        """(B, D, h, w) logits, larger is better, to (B, h, w), the expected candidate (0, 1, .., D - 1 by default).
+        """(B, D, h, w) logits, larger is better, to (B, h, w), the expected candidate (0, 1, ..., D - 1 by default).
 
         `candidates` are (D,), or broadcastable to the logits.
         """

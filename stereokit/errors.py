@@ -4,11 +4,16 @@ Each message says what was given, what was expected and what would work. The com
 one line and exits with 2.
 """
 
-__all__ = ["CheckpointError", "ConfigError", "InputError", "StereoKitError"]
+import os
+
+__all__ = ["CheckpointError", "ConfigError", "InputError", "StereoKitError", "printable"]
 
 
 class StereoKitError(Exception):
     """Base of all errors that stereokit raises on purpose.
+
+    The message is one line whatever a file or a file's name put into it: control characters, and what no terminal can
+    print, are escaped.
 
     >>> from stereokit import build_model
     >>> try:
@@ -17,6 +22,12 @@ class StereoKitError(Exception):
     ...     print(str(error).split(";")[0])
     unknown model 'coexx'
     """
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        if text.isprintable():
+            return text
+        return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
 class ConfigError(StereoKitError, ValueError):
@@ -29,3 +40,24 @@ class InputError(StereoKitError, ValueError):
 
 class CheckpointError(StereoKitError, ValueError):
     """Weights that can't be loaded: truncated, of another network, or a pickle that would run code."""
+
+
+def printable(name: str | bytes | os.PathLike[str], most: int = 120) -> str:
+    """A file's name, or other words of a user's, as messages show them: quoted, on one line, not too long.
+
+    What can't be printed is escaped: control characters, and the bytes of a name that is not UTF-8.
+
+    Args:
+        name: a path or any text.
+        most: characters. Of a longer name the middle is left out.
+
+    >>> printable("left.png"), printable("new" + chr(10) + "line")
+    ("'left.png'", "'new\\\\nline'")
+    >>> printable("a/" + "very/" * 100 + "long.png", most=40)
+    "'a/very/very/very/...ry/very/long.png'"
+    """
+    text = repr(os.fspath(name))
+    if len(text) <= most:
+        return text
+    kept = (most - 3) // 2
+    return f"{text[:kept]}...{text[-kept:]}"

@@ -1,5 +1,6 @@
 """The door of every network: checks, normalisation, padding, cropping, saving."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -281,11 +282,11 @@ def check_least_size(height: int, width: int, least: int = MIN_SIZE) -> None:
 def per_channel(name: str, values: Sequence[float], *, positive: bool = False) -> Tensor:
     """One number per RGB channel, as (3, 1, 1)."""
     try:
-        # on a device without data, where published checkpoints are recognised, nothing could be checked
-        tensor = torch.tensor(values, dtype=torch.float32, device="cpu")
-    except (TypeError, ValueError, RuntimeError):
-        tensor = torch.empty(0)
-    if tensor.shape != (3,) or not tensor.isfinite().all() or (positive and not (tensor > 0).all()):
+        numbers = [] if isinstance(values, str) else [float(value) for value in values]
+    except (TypeError, ValueError):
+        numbers = []
+    # looked at as numbers, for the device at hand may hold tensors without data
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)) or (positive and min(numbers) <= 0):
         kind = "positive numbers" if positive else "numbers"
         raise ConfigError(f"{name} is three {kind}, one per RGB channel; got {values!r}")
-    return torch.tensor(tensor.tolist(), dtype=torch.float32).reshape(3, 1, 1)
+    return torch.tensor(numbers, dtype=torch.float32).reshape(3, 1, 1)

@@ -99,25 +99,22 @@ def run_stage(
     stride, upsampler = blocks.stride, blocks.upsampler
     maps = left.matching[stride], right.matching[stride]
     candidates = blocks.candidates(left, right, before).values
-    if candidates is None:
-        volume = blocks.cost(*maps)
-    else:
-        size = (blocks.cost.planes, *maps[0].shape[-2:])
-        volume = blocks.cost(*maps, resample(candidates, size, batch=len(maps[0])) / stride)
-    heads = [
-        _distribution(head, blocks, stride, candidates)
-        for head in (blocks.aggregation(volume, guides) if training else blocks.aggregation(volume, guides)[-1:])
-    ]
+    planes = None
+    if candidates is not None:
+        planes = resample(candidates, (blocks.cost.planes, *maps[0].shape[-2:]), batch=len(maps[0]))
+    volume = blocks.cost(*maps) if planes is None else blocks.cost(*maps, planes / stride)
+    given = blocks.aggregation(volume, guides)
+    heads = [_distribution(head, blocks, stride, planes) for head in (given if training else given[-1:])]
     if not training:
         best = heads[-1]
-        disparity, certainty = _regress(best, blocks, guides, with_confidence=confidence)
+        disparity, certainty = _regress(best, blocks, guides, candidates, with_confidence=confidence)
         if certainty is not None:
             ends_at = best.stride // (upsampler.scale if upsampler.domain == "volume" else 1)
             certainty = at_full_size(Prediction(certainty, ends_at))
         return StageOutput((_upsampled(disparity, best, blocks, guides),), certainty)
     predictions = []
     for number, head in enumerate(heads, start=1):
-        coarse, _ = _regress(head, blocks, guides)
+        coarse, _ = _regress(head, blocks, guides, candidates)
         if upsampler.learned and upsampler.domain == "disparity" and number == len(heads):
             predictions.append(Prediction(coarse, head.stride, head))
         predictions.append(_upsampled(coarse, head, blocks, guides))
@@ -150,18 +147,18 @@ def _interpolate(values: Tensor, size: tuple[int, ...]) -> Tensor:
     return F.interpolate(values.unsqueeze(1), size, mode="trilinear", align_corners=False).squeeze(1)
 
 
-def _distribution(
-    head: Tensor | Distribution, blocks: StageBlocks, stride: int, candidates: Tensor | None
-) -> Distribution:
-    """What a head gave, with all that is known of its planes."""
+def _distribution(head: Tensor | Distribution, blocks: StageBlocks, stride: int, planes: Tensor | None) -> Distribution:
+    """What a head gave, with all that is known of its planes; `planes` are the px of those of the volume."""
+    logits = head.logits if isinstance(head, Distribution) else head
+    values = None if planes is None else resample(planes, tuple(logits.shape[1:]), batch=len(logits))
     if isinstance(head, Distribution):
-        return head if candidates is None else head._replace(values=candidates)
+        return head if values is None else head._replace(values=values)
     upscale = blocks.aggregation.upscale
     spacing = blocks.candidates.spacing / upscale
     # a plane that is going to be divided is the middle of the fine ones, the first of which is 0
     parts = planes_scale(blocks.upsampler) if blocks.upsampler.domain == "volume" else 1
     first = (parts - 1) / 2 * spacing / parts
-    return Distribution(head, stride // upscale, spacing, first, values=candidates)
+    return Distribution(head, stride // upscale, spacing, first, values=values)
 
 
 def planes_scale(upsampler: Upsampler) -> int:
@@ -170,17 +167,25 @@ def planes_scale(upsampler: Upsampler) -> int:
 
 
 def _regress(
-    head: Distribution, blocks: StageBlocks, guides: Guides, *, with_confidence: bool = False
+    head: Distribution,
+    blocks: StageBlocks,
+    guides: Guides,
+    candidates: Tensor | None,
+    *,
+    with_confidence: bool = False,
 ) -> tuple[Tensor, Tensor | None]:
-    """The disparity of a head in px, at the resolution of its logits or, if these are upsampled, of those."""
+    """The disparity of a head in px, at the resolution of its logits or, if these are upsampled, of those.
+
+    The expectation is over the candidates of the stage, of which a plane of the volume may hold several.
+    """
     logits, spacing = head.logits, head.spacing
     if blocks.upsampler.domain == "volume":
         planes = logits.shape[1]
         logits = blocks.upsampler(logits, guides)
         spacing = spacing * planes / logits.shape[1]
-    values = None
-    if head.values is not None:
-        values = resample(head.values, tuple(logits.shape[1:]), batch=len(logits))
+    values = head.values if candidates is None else candidates
+    if values is not None:
+        values = resample(values, tuple(logits.shape[1:]), batch=len(logits))
     if with_confidence:
         disparity, confidence = blocks.regression.with_confidence(logits, values)
     else:

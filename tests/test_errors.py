@@ -1,6 +1,7 @@
 import pytest
 
 from stereokit import CheckpointError, ConfigError, InputError, StereoKitError
+from stereokit.errors import printable
 
 
 @pytest.mark.parametrize("kind", [CheckpointError, ConfigError, InputError])
@@ -8,3 +9,16 @@ def test_errors_are_one_family_of_value_errors(kind):
     assert issubclass(kind, StereoKitError)
     assert issubclass(kind, ValueError)
     assert str(kind("what would work")) == "what would work"
+
+
+def test_a_message_is_one_printable_line():
+    message = str(InputError("a\x1b[31m\nb\udcff c\u00e9"))
+    assert message == "a\\x1b[31m\\nb\\udcff c\u00e9"
+
+
+@pytest.mark.parametrize("name", ["a.png", "x" * 1000, "a\nb", "\udcff", b"\xff"])
+def test_a_name_is_quoted_short_and_printable(name):
+    text = printable(name)
+    assert text.isprintable()
+    assert len(text) <= 120
+    assert printable("a'b.png") == repr("a'b.png")

@@ -59,7 +59,7 @@ class Hourglass(nn.Module):
         guidance_at: "one" guides the stem's output only, "full" that of every stage.
         channels: of the stem and of the three scales below it.
 
-    Shape: volume (B, in_channels, D, H, W) and guides {stride: (B, G, H * stride0 / stride, ..)} to one tensor
+    Shape: volume (B, in_channels, D, H, W) and guides {stride: (B, G, H * stride0 / stride, ...)} to one tensor
     (B, D, H, W) of logits, larger is better. D, H and W may be odd: what does not fit is cut.
 
     Source: CoEx, appendix "Detailed architecture", table "Cost aggregation module".

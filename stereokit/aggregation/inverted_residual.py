@@ -60,7 +60,7 @@ class InvertedResidualHourglass(nn.Module):
         blocks: inverted residuals at each scale of the encoder.
         expansion: of these, see `InvertedResidual`.
 
-    Shape: volume (B, in_channels, planes, H, W) and guides {stride: (B, G, H * stride0 / stride, ..)} to one tensor
+    Shape: volume (B, in_channels, planes, H, W) and guides {stride: (B, G, H * stride0 / stride, ...)} to one tensor
     (B, planes, H, W) of logits, larger is better, none below 0. H and W may be odd: what does not fit is cut.
 
     Raises:

@@ -2,8 +2,21 @@
 
 from stereokit.backbones.encoder import MobileNetV2Encoder, TimmEncoder
 from stereokit.backbones.feature_pyramid import FeaturePyramid
+from stereokit.backbones.gwc_trunk import GwcTrunk
 from stereokit.backbones.residual import ResidualTower
 from stereokit.backbones.spatial_pyramid import SpatialPyramid
+from stereokit.backbones.strided import StridedTower
+from stereokit.backbones.top_down_pyramid import TopDownPyramid
 from stereokit.backbones.unet import UNet
 
-__all__ = ["FeaturePyramid", "MobileNetV2Encoder", "ResidualTower", "SpatialPyramid", "TimmEncoder", "UNet"]
+__all__ = [
+    "FeaturePyramid",
+    "GwcTrunk",
+    "MobileNetV2Encoder",
+    "ResidualTower",
+    "SpatialPyramid",
+    "StridedTower",
+    "TimmEncoder",
+    "TopDownPyramid",
+    "UNet",
+]

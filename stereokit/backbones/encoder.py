@@ -23,7 +23,7 @@ class TimmEncoder(nn.Module):
     Raises:
         ConfigError: the model lacks one of the strides, or takes one size of image only.
 
-    Shape: (B, 3, H, W), sides multiples of 32, to {4: (B, C4, H/4, W/4), .., 32: (B, C32, H/32, W/32)}.
+    Shape: (B, 3, H, W), sides multiples of 32, to {4: (B, C4, H/4, W/4), ..., 32: (B, C32, H/32, W/32)}.
 
     >>> TimmEncoder("resnet18").channels
     {4: 64, 8: 128, 16: 256, 32: 512}

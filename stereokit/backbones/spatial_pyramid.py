@@ -6,21 +6,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from stereokit.backbones.trunk import ResidualTrunk
 from stereokit.contracts import FeatureInfo, Features
-from stereokit.layers import ConvNormAct, ResidualBlock, init_convolutions, relu
+from stereokit.layers import ConvNormAct, init_convolutions, relu
 from stereokit.registry import BACKBONES
 
 __all__ = ["SpatialPyramid"]
-
-
-def residual_layer(
-    in_channels: int, out_channels: int, blocks: int, *, stride: int = 1, dilation: int = 1
-) -> nn.Sequential:
-    """Residual blocks in a row; the first one changes size and width."""
-    first = ResidualBlock(in_channels, out_channels, stride=stride, dilation=dilation)
-    return nn.Sequential(
-        first, *(ResidualBlock(out_channels, out_channels, dilation=dilation) for _ in range(blocks - 1))
-    )
 
 
 class PooledBranch(nn.Module):
@@ -44,11 +35,13 @@ class PooledBranch(nn.Module):
 
 
 @BACKBONES.register("spatial_pyramid")
-class SpatialPyramid(nn.Module):
+class SpatialPyramid(ResidualTrunk):
     """Residual layers at stride 4, two of them dilated, and average pooling over four window sizes.
 
     Args:
         channels: of the matching features.
+        bias: of the last convolution.
+        full_size: see `ResidualTrunk`; then there are guides at stride 1 too, and those at 2 are deeper.
 
     Shape: (B, 3, H, W), sides multiples of 4, to `Features`: matching (B, channels, H/4, W/4), guides
     {2: 32, 4: channels}.
@@ -59,31 +52,22 @@ class SpatialPyramid(nn.Module):
     torch.Size([1, 32, 16, 24])
     """
 
-    multiple = 4
-
-    def __init__(self, *, channels: int = 32) -> None:
-        super().__init__()
-        self.stem = nn.Sequential(
-            ConvNormAct(3, 32, stride=2, activation=relu),
-            ConvNormAct(32, 32, activation=relu),
-            ConvNormAct(32, 32, activation=relu),
-        )
-        self.layer1 = residual_layer(32, 32, 3)
-        self.layer2 = residual_layer(32, 64, 16, stride=2)
-        self.layer3 = residual_layer(64, 128, 3)
-        self.layer4 = residual_layer(128, 128, 3, dilation=2)
+    def __init__(self, *, channels: int = 32, bias: bool = False, full_size: bool = False) -> None:
+        super().__init__(full_size=full_size)
         self.branches = nn.ModuleList([PooledBranch(128, 32, pool) for pool in (8, 16, 32, 64)])
         self.fuse = nn.Sequential(
-            ConvNormAct(64 + 128 + 4 * 32, 128, activation=relu), nn.Conv2d(128, channels, 1, bias=False)
+            ConvNormAct(64 + 128 + 4 * 32, 128, activation=relu), nn.Conv2d(128, channels, 1, bias=bias)
         )
         init_convolutions(self.fuse)
-        self.info = FeatureInfo(matching_channels={4: channels}, guide_channels={2: 32, 4: channels})
+        guides = {2: 32, 4: channels}
+        self.info = FeatureInfo(
+            matching_channels={4: channels}, guide_channels={1: 32, **guides} if full_size else guides
+        )
 
     def forward(self, images: Tensor) -> Features:
         """Images to features."""
-        stem = self.stem(images)
-        raw = self.layer2(self.layer1(stem))
-        skip = self.layer4(self.layer3(raw))
-        pyramid = torch.cat((raw, skip, *(branch(skip) for branch in self.branches)), dim=1)
-        matching = self.fuse(pyramid)
-        return Features(matching={4: matching}, guides={2: stem, 4: matching})
+        maps = self.maps(images)
+        pooled = (branch(maps.layer4) for branch in self.branches)
+        matching = self.fuse(torch.cat((maps.layer2, maps.layer4, *pooled), dim=1))
+        guides = {1: maps.first, 2: maps.layer1} if self.full_size else {2: maps.stem}
+        return Features(matching={4: matching}, guides={**guides, 4: matching})

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 from tqdm import tqdm
 
+from stereokit.cli.depth import DepthFiles, add_depth_options
 from stereokit.cli.loading import load_predictor
 from stereokit.cli.options import add_predictor_options, add_published_options, network_help
 from stereokit.data.pairs import ImagePair, match_pairs
@@ -14,6 +15,9 @@ from stereokit.files import check_folder, check_free
 from stereokit.inference import Predictor, output_paths
 
 __all__ = ["add_arguments", "run"]
+
+NOISE = 0.6
+"""Mean confidence of a pair below which it says so: good pairs have 0.8 and more, most views that do not match less."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_published_options(parser)
     parser.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     add_predictor_options(parser)
+    add_depth_options(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace existing results")
 
 
@@ -38,12 +43,14 @@ def run(options: argparse.Namespace) -> None:
     pairs = match_pairs(options.left, options.right)
     # now rather than after the first pair is matched
     check_folder(options.out)
-    check_free([p for pair in pairs for p in output_paths(options.out, pair.name)], overwrite=options.overwrite)
+    depth = DepthFiles.of(options)
+    files = [p for pair in pairs for p in (*output_paths(options.out, pair.name), *depth.paths(pair.name))]
+    check_free(files, overwrite=options.overwrite)
     predictor = load_predictor(options)
     failed: list[str] = []
     for pair in tqdm(pairs, unit="pair", disable=len(pairs) == 1):
         try:
-            _predict(predictor, pair, options)
+            _predict(predictor, pair, options, depth)
         except InputError as error:
             if len(pairs) == 1:
                 raise
@@ -53,7 +60,7 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"{len(failed)} of {len(pairs)} pairs could not be matched: {', '.join(failed)}")
 
 
-def _predict(predictor: Predictor, pair: ImagePair, options: argparse.Namespace) -> None:
+def _predict(predictor: Predictor, pair: ImagePair, options: argparse.Namespace, depth: DepthFiles) -> None:
     result = predictor(pair.left, pair.right)
     written = result.save_all(options.out, pair.name, overwrite=options.overwrite)
     height, width = result.size
@@ -68,3 +75,11 @@ def _predict(predictor: Predictor, pair: ImagePair, options: argparse.Namespace)
     )
     if len(written) < len(output_paths(options.out, pair.name)):
         tqdm.write(f"{pair.name}: no 16-bit PNG, which holds 0 to 255.996 px")
+    if result.confidence is not None and result.confidence.mean() < NOISE:
+        tqdm.write(
+            f"{pair.name}: mean confidence {result.confidence.mean():.2f}, as of views that do not match; "
+            "'stereokit check' tells why",
+            file=sys.stderr,
+        )
+    for line in depth.write(result, pair, predictor):
+        tqdm.write(f"{pair.name}: {line}")

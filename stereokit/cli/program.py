@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from stereokit._version import __version__
-from stereokit.cli import bench, convert, data, export, info, predict, synth, train
+from stereokit.cli import bench, check, convert, data, export, info, predict, synth, train
 from stereokit.cli import eval as evaluation
 from stereokit.cli import list as listing
 from stereokit.errors import StereoKitError
@@ -18,6 +18,7 @@ __all__ = ["main"]
 
 COMMANDS: Mapping[str, tuple[ModuleType, str]] = {
     "predict": (predict, "turn a rectified pair, or many, into disparity maps"),
+    "check": (check, "find out whether a pair is rectified, in order, and fit to be matched"),
     "eval": (evaluation, "count errors on data sets with ground truth"),
     "export": (export, "write a network as ONNX, OpenVINO or torch.export file, and check it"),
     "train": (train, "train a network by a recipe"),
@@ -44,10 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; those of the process by default.
 
     Returns:
-        The exit code: 0, or 2 with one line on standard error.
+        The exit code: 0, or what the command says; 2 with one line on standard error where it fails.
 
-    >>> main(["list", "costs"])
-    concatenation
+    >>> main(["list", "costs", "*correlation"])
     correlation
     groupwise_correlation
     0
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _refuse(options.command, unknown)
     command, _ = COMMANDS[options.command]
     try:
-        command.run(options)
+        code: int | None = command.run(options)
     except StereoKitError as error:
         print(f"stereokit {options.command}: {error}", file=sys.stderr)
         return 2
@@ -70,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+        return 0
+    return code or 0
 
 
 def _refuse(command: str, unknown: Sequence[str]) -> NoReturn:

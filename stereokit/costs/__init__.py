@@ -9,6 +9,7 @@ from stereokit.costs.correlation import (
     groupwise_correlation_volume,
 )
 from stereokit.costs.difference import DifferenceVolume, difference_volume
+from stereokit.costs.signed_correlation import SignedCorrelation, signed_correlation
 
 __all__ = [
     "CombinedVolume",
@@ -16,8 +17,10 @@ __all__ = [
     "CorrelationVolume",
     "DifferenceVolume",
     "GroupwiseCorrelationVolume",
+    "SignedCorrelation",
     "concatenation_volume",
     "correlation_volume",
     "difference_volume",
     "groupwise_correlation_volume",
+    "signed_correlation",
 ]

@@ -18,7 +18,7 @@ def concatenation_volume(left: Tensor, right: Tensor, planes: Planes, *, masked:
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
-        planes: D, for the disparities 0 .. D - 1, or candidates (B, D, H, W); in pixels of the maps.
+        planes: D, for the disparities 0 ... D - 1, or candidates (B, D, H, W); in pixels of the maps.
         masked: set the left features to 0 too where there is no right one.
 
     Returns:

@@ -28,7 +28,7 @@ def correlation_volume(left: Tensor, right: Tensor, planes: Planes) -> Tensor:
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
-        planes: D, for the disparities 0 .. D - 1, or candidates (B, D, H, W); in pixels of the maps.
+        planes: D, for the disparities 0 ... D - 1, or candidates (B, D, H, W); in pixels of the maps.
 
     Returns:
         (B, 1, D, H, W), in [-1, 1]. All-zero features give 0.
@@ -60,7 +60,7 @@ def groupwise_correlation_volume(
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
-        planes: D, for the disparities 0 .. D - 1, or candidates (B, D, H, W); in pixels of the maps.
+        planes: D, for the disparities 0 ... D - 1, or candidates (B, D, H, W); in pixels of the maps.
         groups: G, which divides C.
         normalise: cosine similarity per group in place of the mean product.
 
@@ -141,19 +141,22 @@ class GroupwiseCorrelationVolume(nn.Module):
     Args:
         in_channels: of the features.
         planes: of disparity.
-        groups: divides the channels that are compared.
+        groups: divides the channels that are compared; 8 where neither it nor `group_channels` is given.
+        group_channels: how many channels make a group, in place of a number of groups: what fits features of any width.
         normalise: cosine similarity per group in place of the mean product.
         projection: widths of the two convolutions before the comparison, None for none.
 
     Shape: two (B, in_channels, H, W) to (B, groups, planes, H, W).
 
     Raises:
-        ConfigError: the groups do not divide the channels.
+        ConfigError: the groups do not divide the channels, or both of their arguments are given.
 
     Source: Guo et al., "Group-wise correlation stereo network", CVPR 2019.
 
     >>> GroupwiseCorrelationVolume(in_channels=96, planes=48, groups=12).out_channels
     12
+    >>> GroupwiseCorrelationVolume(in_channels=96, planes=48, group_channels=12).out_channels
+    8
     """
 
     warps = True
@@ -163,23 +166,32 @@ class GroupwiseCorrelationVolume(nn.Module):
         *,
         in_channels: int,
         planes: int,
-        groups: int = 8,
+        groups: int | None = None,
+        group_channels: int | None = None,
         normalise: bool = False,
         projection: Projected = None,
     ) -> None:
         super().__init__()
         self.in_channels = in_channels
         self.planes = planes
-        self.groups = self.out_channels = groups
         self.normalise = normalise
         self.projection = Projection(in_channels, projection)
-        channels = self.projection.out_channels
-        if groups < 1 or channels % groups:
-            fitting = [g for g in range(1, channels + 1) if channels % g == 0]
-            raise ConfigError(f"groups={groups} does not divide the {channels} channels compared; use {fitting}")
+        self.groups = self.out_channels = _groups(self.projection.out_channels, groups, group_channels)
 
     def forward(self, left: Tensor, right: Tensor, candidates: Tensor | None = None) -> Tensor:
         """Left and right features to a cost volume."""
         left, right = self.projection(left, right)
         planes = self.planes if candidates is None else candidates
         return groupwise_correlation_volume(left, right, planes, self.groups, normalise=self.normalise)
+
+
+def _groups(channels: int, groups: int | None, group_channels: int | None) -> int:
+    """The number of groups."""
+    if groups is not None and group_channels is not None:
+        raise ConfigError(f"give one of groups={groups} and group_channels={group_channels}, and None for the other")
+    name, given = ("groups", groups) if group_channels is None else ("group_channels", group_channels)
+    number = 8 if given is None else given
+    if number < 1 or channels % number:
+        fitting = [n for n in range(1, channels + 1) if channels % n == 0]
+        raise ConfigError(f"{name}={number} does not divide the {channels} channels compared; use {fitting}")
+    return number if group_channels is None else channels // number

@@ -17,7 +17,7 @@ def difference_volume(left: Tensor, right: Tensor, planes: Planes, *, absolute: 
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
-        planes: D, for the disparities 0 .. D - 1, or candidates (B, D, H, W); in pixels of the maps.
+        planes: D, for the disparities 0 ... D - 1, or candidates (B, D, H, W); in pixels of the maps.
         absolute: without the sign.
 
     Returns:

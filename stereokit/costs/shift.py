@@ -16,8 +16,8 @@ from stereokit.layers.warp import warp
 __all__ = ["Planes", "check_features", "inner_products", "seen_from_left", "shifted_stack"]
 
 Planes: TypeAlias = int | Tensor
-"""The number of planes D, for the disparities 0 .. D - 1; or the disparities themselves, (B, D, H, W). In pixels of the
-maps."""
+"""The number of planes D, for the disparities 0 ... D - 1; or the disparities themselves, (B, D, H, W). In pixels of
+the maps."""
 
 
 def check_features(left: Tensor, right: Tensor, planes: Planes) -> None:
@@ -63,14 +63,14 @@ def inner_products(left: Tensor, right: Tensor, planes: int) -> Tensor:
     left_tiles = rearrange(F.pad(left, (0, to_full_tiles)), "n c h (t x) -> n h t x c", x=tile)
     right_tiles = F.pad(right, (planes - 1, to_full_tiles)).unfold(-1, reach, tile)
     products = left_tiles @ rearrange(right_tiles, "n c h t r -> n h t c r")
-    # row x of a tile needs columns x .. x + planes - 1: one element more per row moves each row to the same columns
+    # row x of a tile needs columns x ... x + planes - 1: one element more per row moves each row to the same columns
     rows = F.pad(products.flatten(-2), (0, tile))
     band = rearrange(rows, "n h t (x r) -> n h t x r", x=tile)[..., :planes]
     return rearrange(band.flip(-1), "n h t x d -> n d h (t x)")[..., :width]
 
 
 def shifted_stack(right: Tensor, planes: int) -> Tensor:
-    """The map shifted right by 0, 1, .., planes - 1 pixels, zeros coming in: (B, C, H, W) to (B, C, D, H, W).
+    """The map shifted right by 0, 1, ..., planes - 1 pixels, zeros coming in: (B, C, H, W) to (B, C, D, H, W).
 
     >>> shifted_stack(torch.tensor([[[[1.0, 2.0, 3.0]]]]), 3).squeeze()
     tensor([[1., 2., 3.],

@@ -5,14 +5,13 @@ things can't be seen in a file: by how much an 8-bit PNG was scaled, and whether
 disparity or a picture. The caller says those.
 """
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.data.disparity_arrays import Disparity, PathLike
+from stereokit.data.disparity_arrays import Disparity, PathLike, unknown_to_nan
 from stereokit.data.disparity_png import (
     KITTI_SCALE,
     is_grey,
@@ -23,12 +22,12 @@ from stereokit.data.disparity_png import (
     unscaled,
     write_kitti_png,
 )
-from stereokit.data.images import read_file_bytes, read_samples
+from stereokit.data.images import read_file_bytes, read_image_depth, read_samples
 from stereokit.data.npy import NPY_MAGIC, read_npy, read_npz, write_npy, write_npz
 from stereokit.data.pfm import read_pfm, write_pfm
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
-__all__ = ["ENCODINGS", "read_disparity", "write_disparity"]
+__all__ = ["ENCODINGS", "assumed_scale", "read_disparity", "write_disparity"]
 
 ENCODINGS: dict[str, Callable[[PathLike], Disparity]] = {
     "pfm": read_pfm,
@@ -54,6 +53,7 @@ def read_disparity(path: PathLike, *, scale: float | None = None, encoding: str 
     npy, npz                     disparity; infinite and NaN are unknown
     16-bit grey PNG              KITTI's encoding, value / 256; 0 is unknown
     8-bit grey PNG or PGM        value / `scale`; 0 is unknown. `scale` must be given
+    floating-point TIFF          disparity; infinite and NaN are unknown
     colour PNG                   Sintel's encoding if `encoding` says so, else an error
     ===========================  =================================================================
 
@@ -76,10 +76,10 @@ def read_disparity(path: PathLike, *, scale: float | None = None, encoding: str 
     >>> read_disparity(path).tolist()
     [[1.5, nan]]
     """
-    name = os.fspath(path)
+    name = printable(path)
     if encoding is not None:
         if scale is not None:
-            raise InputError(f"{name!r}: give scale or encoding, not both; got {scale} and {encoding!r}")
+            raise InputError(f"{name}: give scale or encoding, not both; got {scale} and {encoding!r}")
         if encoding not in ENCODINGS:
             raise InputError(f"unknown disparity encoding {encoding!r}; expected one of {', '.join(ENCODINGS)}")
         return ENCODINGS[encoding](path)
@@ -87,22 +87,46 @@ def read_disparity(path: PathLike, *, scale: float | None = None, encoding: str 
     for magic, reader in _MAGICS.items():
         if start.startswith(magic):
             if scale is not None:
-                raise InputError(f"{name!r} holds disparity itself, which has no scale; leave out scale={scale}")
+                raise InputError(f"{name} holds disparity itself, which has no scale; leave out scale={scale}")
             return reader(path)
     if scale is not None:
         return read_scaled_png(path, scale=scale)
-    samples = read_samples(path)
+    samples = read_samples(path, floating=True)
+    if samples.dtype.kind == "f" and samples.ndim == 2:
+        return unknown_to_nan(samples)
     if samples.dtype == np.uint16 and samples.ndim == 2:
         return unscaled(samples, KITTI_SCALE)
     if is_grey(samples):
         raise InputError(
-            f"{name!r} is a grey image of {samples.dtype}, which does not say how disparity was scaled; give "
+            f"{name} is a grey image of {samples.dtype}, which does not say how disparity was scaled; give "
             "scale=, the stored value of one pixel of disparity (such as 4 for Middlebury 2003)"
         )
     raise InputError(
-        f"{name!r} is a colour image, not known to be disparity; say encoding='sintel' if it is encoded as "
+        f"{name} is a colour image, not known to be disparity; say encoding='sintel' if it is encoded as "
         "Sintel's, or give a grey PNG, a PFM or an npy file"
     )
+
+
+def assumed_scale(path: PathLike) -> float | None:
+    """The scale that `read_disparity` takes for granted where it is told none: KITTI's 256 of grey 16-bit images.
+
+    Returns:
+        None for files that hold disparity itself, and for those that can't be read.
+
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> write_disparity(folder / "a.png", [[1.5]])
+    >>> write_disparity(folder / "a.pfm", [[1.5]])
+    >>> assumed_scale(folder / "a.png"), assumed_scale(folder / "a.pfm")
+    (256.0, None)
+    """
+    try:
+        if read_file_bytes(path, 8).startswith(tuple(_MAGICS)):
+            return None
+        depth = read_image_depth(path)
+    except InputError:
+        return None
+    return float(KITTI_SCALE) if depth == 16 else None
 
 
 def write_disparity(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = False) -> None:
@@ -127,5 +151,5 @@ def write_disparity(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool
     writers = {".pfm": write_pfm, ".png": write_kitti_png, ".npy": write_npy, ".npz": write_npz}
     suffix = Path(path).suffix.lower()
     if suffix not in writers:
-        raise InputError(f"{os.fspath(path)!r}: disparity is written as {', '.join(writers)}, not {suffix!r}")
+        raise InputError(f"{printable(path)}: disparity is written as {', '.join(writers)}, not {suffix!r}")
     writers[suffix](path, disparity, overwrite=overwrite)

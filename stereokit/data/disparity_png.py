@@ -1,7 +1,6 @@
 """Disparity as integers in an image: KITTI's, DrivingStereo's, Middlebury's and Sintel's encodings."""
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy.typing as npt
 
 from stereokit.data.disparity_arrays import Disparity, PathLike, to_disparity
 from stereokit.data.images import read_samples, write_samples
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
 __all__ = [
     "KITTI_SCALE",
@@ -58,14 +57,14 @@ def write_kitti_png(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool
     ...
     stereokit.errors.InputError: ... holds disparity from 0 to 255.996, got 300.0 to 300.0; write .pfm or .npy
     """
-    name = os.fspath(path)
+    name = printable(path)
     if Path(path).suffix.lower() != ".png":
-        raise InputError(f"{name!r}: KITTI's encoding is written to a file that ends in .png")
+        raise InputError(f"{name}: KITTI's encoding is written to a file that ends in .png")
     values = to_disparity(path, disparity)
     known = ~np.isnan(values)
     if not fits_kitti_png(values):
         raise InputError(
-            f"{name!r}: KITTI's PNG holds disparity from 0 to 255.996, "
+            f"{name}: KITTI's PNG holds disparity from 0 to 255.996, "
             f"got {values[known].min()} to {values[known].max()}; write .pfm or .npy"
         )
     samples = np.zeros(values.shape, np.uint16)
@@ -99,10 +98,12 @@ def read_scaled_png(path: PathLike, *, scale: float) -> Disparity:
         InputError: a missing or broken file, a colour picture, or a scale that is not positive.
     """
     if not (math.isfinite(scale) and scale > 0):
-        raise InputError(f"{os.fspath(path)!r}: scale must be a positive number, got {scale}")
-    samples = read_samples(path)
+        raise InputError(f"{printable(path)}: scale must be a positive number, got {scale}")
+    samples = read_samples(path, floating=True)
+    if samples.dtype.kind == "f":
+        raise InputError(f"{printable(path)} holds disparity itself, which has no scale; leave out scale={scale:g}")
     if not is_grey(samples):
-        raise InputError(f"{os.fspath(path)!r} is a colour image; expected grey, of disparity * {scale:g}")
+        raise InputError(f"{printable(path)} is a colour image; expected grey, of disparity * {scale:g}")
     return unscaled(samples if samples.ndim == 2 else samples[:, :, 0], scale)
 
 
@@ -121,7 +122,7 @@ def read_sintel_png(path: PathLike) -> Disparity:
     """
     samples = read_samples(path)
     if samples.dtype != np.uint8 or samples.ndim != 3:
-        raise InputError(f"{os.fspath(path)!r} is no 8-bit colour image, which Sintel's disparity is")
+        raise InputError(f"{printable(path)} is no 8-bit colour image, which Sintel's disparity is")
     red, green, blue = np.moveaxis(samples[:, :, :3].astype(np.float32), -1, 0)
     disparity: Disparity = red * 4 + green / 2**6 + blue / 2**14
     return disparity
@@ -151,7 +152,7 @@ def _read_deep(path: PathLike, scale: int) -> Disparity:
     if samples.dtype != np.uint16 or samples.ndim != 2:
         channels = 1 if samples.ndim == 2 else samples.shape[2]
         raise InputError(
-            f"{os.fspath(path)!r} has {samples.dtype} samples in {channels} channels; expected a 16-bit grey PNG"
+            f"{printable(path)} has {samples.dtype} samples in {channels} channels; expected a 16-bit grey PNG"
         )
     return unscaled(samples, scale)
 

@@ -8,17 +8,22 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.data.image_header import ImageHeader, read_image_header
-from stereokit.errors import InputError
+from stereokit.data.bit_depth import to_rgb
+from stereokit.data.image_formats import EncodedImage, read_header
+from stereokit.data.image_formats.png import PNG_MAGIC
+from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path
 
 __all__ = [
     "IMAGE_SUFFIXES",
+    "MAX_BYTES",
     "MAX_PIXELS",
     "read_file_bytes",
     "read_image",
+    "read_image_depth",
     "read_image_size",
     "read_samples",
+    "read_stored",
     "to_uint8",
     "write_image",
     "write_samples",
@@ -30,21 +35,31 @@ IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".webp", ".bmp", ".ti
 MAX_PIXELS = 10**8
 """The most pixels a file may claim to hold. Above it a file is refused before memory is reserved for it."""
 
-_MAX_BYTES = 16 * MAX_PIXELS
+MAX_BYTES = 2**30
+"""The most memory that reading one file may take. What a file would take is known from its header."""
 
 
-def read_image(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
+def read_image(path: str | os.PathLike[str], *, bit_depth: int | None = None) -> npt.NDArray[Any]:
     """Reads an image file as RGB.
 
-    PNG, JPEG, PPM/PGM, WebP, BMP and TIFF, of 8 or 16 bits per sample. Grey is repeated in the three
-    channels. An alpha channel is dropped. The pixels are those stored: an orientation noted in a
-    photograph's metadata is not applied, because it would turn a rectified pair.
+    PNG, JPEG, PPM/PGM, WebP, BMP and TIFF, of 8 or 16 bits per sample, TIFF of floating point in [0, 1] too. Grey is
+    repeated in the three channels. An alpha channel is dropped; of an animated PNG the still picture is read. The
+    pixels are those stored: an orientation noted in a photograph's metadata is not applied, because it would turn a
+    rectified pair.
+
+    Args:
+        path: the file.
+        bit_depth: the bits of the camera, where 16-bit or floating-point samples hold fewer: 12 for values to 4095.
 
     Returns:
-        (H, W, 3). uint8 for a file of 8 bits per sample or fewer, float32 in [0, 1] for one of 16 bits.
+        (H, W, 3). uint8 for a file of 8 bits per sample or fewer, float32 in [0, 1] for others.
 
     Raises:
-        InputError: the file is missing, unreadable, no image, truncated, or larger than `MAX_PIXELS`.
+        InputError: the file is missing, unreadable, no image, truncated, larger than `MAX_PIXELS` or than `MAX_BYTES`
+            when decoded, or of other values than `bit_depth` says.
+
+    Warns:
+        UserWarning: see `to_rgb`.
 
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "grey.pgm"
@@ -52,15 +67,8 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     >>> read_image(path).tolist()
     [[[7, 7, 7], [9, 9, 9]]]
     """
-    samples, header = _decode(path)
-    rgb = np.repeat(samples[:, :, None], 3, axis=2) if samples.ndim == 2 else samples[:, :, :3]
-    full = 65535 if rgb.dtype == np.uint16 else 255
-    peak = header.peak or full
-    if full == 65535:
-        rgb = np.divide(np.minimum(rgb, peak), peak, dtype=np.float32)
-    elif peak < full:
-        rgb = ((np.minimum(rgb, peak).astype(np.uint16) * full + peak // 2) // peak).astype(np.uint8)
-    return np.ascontiguousarray(rgb)
+    samples, peak = read_stored(path)
+    return to_rgb(samples, printable(path), peak=peak, bit_depth=bit_depth)
 
 
 def to_uint8(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
@@ -78,20 +86,66 @@ def read_image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     Raises:
         InputError: as `read_image`.
     """
-    header = _read_header(path, read_file_bytes(path))
-    return header.width, header.height
+    image = _read_header(path, read_file_bytes(path))
+    return image.width, image.height
 
 
-def read_samples(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
-    """Reads the stored sample values of an image file: masks, object maps and disparity as integers.
-
-    Returns:
-        uint8 or uint16, (H, W) for a grey file, (H, W, 3) RGB or (H, W, 4) RGBA for another.
+def read_image_depth(path: str | os.PathLike[str]) -> int:
+    """Bits of a sample of an image file as it is decoded, 8 or 16, or 32 and 64 of floating-point TIFF.
 
     Raises:
         InputError: as `read_image`.
     """
-    return _decode(path)[0]
+    start = read_file_bytes(path, 32)
+    if start.startswith(PNG_MAGIC) and start[12:16] == b"IHDR":
+        # of the most usual kind without reading it whole
+        return 16 if start[24:25] == b"\x10" else 8
+    return 8 * _read_header(path, read_file_bytes(path)).sample_bytes
+
+
+def read_samples(path: str | os.PathLike[str], *, floating: bool = False) -> npt.NDArray[Any]:
+    """Reads the stored sample values of an image file: masks, object maps and disparity as integers.
+
+    Args:
+        path: the file.
+        floating: whether floating-point samples are taken too.
+
+    Returns:
+        uint8, uint16 or floating-point, (H, W) for a grey file, (H, W, 3) RGB or (H, W, 4) RGBA for another.
+
+    Raises:
+        InputError: as `read_image`.
+    """
+    samples = read_stored(path)[0]
+    if samples.dtype.kind == "f" and not floating:
+        raise InputError(f"{printable(path)} holds {samples.dtype} samples; expected 8 or 16 bits per sample")
+    return samples
+
+
+def read_stored(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], int | None]:
+    """The samples of an image file as `read_samples` gives them, and the one that is white where the file names it.
+
+    Raises:
+        InputError: as `read_image`.
+    """
+    data = read_file_bytes(path)
+    image = _read_header(path, data)
+    # of a pixel, as read_image gives it
+    memory = image.memory(3 if image.sample_bytes == 1 else 12) + 2 * len(data)
+    if memory > MAX_BYTES:
+        raise InputError(
+            f"{printable(path)} claims {image.width} x {image.height} pixels, which take {memory // 2**20} MiB to "
+            f"decode; expected at most {MAX_BYTES // 2**20} MiB: make it smaller, or cut it"
+        )
+    try:
+        samples = image.decode()
+    except ValueError as error:
+        raise InputError(f"{printable(path)} is a broken image ({image.format}): {error}") from error
+    if samples.shape[:2] != (image.height, image.width):
+        raise InputError(
+            f"{printable(path)} is a broken image: its {image.format} header names another size than its data"
+        )
+    return samples, image.peak
 
 
 def write_image(path: str | os.PathLike[str], rgb: npt.NDArray[Any], *, overwrite: bool = False) -> None:
@@ -113,22 +167,22 @@ def write_image(path: str | os.PathLike[str], rgb: npt.NDArray[Any], *, overwrit
     [255, 0, 0]
     """
     rgb = np.asarray(rgb)
-    name = os.fspath(path)
+    name = printable(path)
     if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.size == 0:
-        raise InputError(f"{name!r}: expected an image of shape (H, W, 3), got an array of shape {rgb.shape}")
+        raise InputError(f"{name}: expected an image of shape (H, W, 3), got an array of shape {rgb.shape}")
     suffix = Path(path).suffix.lower()
     suffixes: tuple[str, ...] = (".png", ".ppm", ".tif", ".tiff")
     if rgb.dtype == np.uint8:
         samples, suffixes = rgb, (*suffixes, ".jpg", ".jpeg", ".bmp", ".webp")
     elif rgb.dtype in (np.float32, np.float64):
         if not (np.isfinite(rgb).all() and rgb.min() >= 0 and rgb.max() <= 1):
-            raise InputError(f"{name!r}: a floating-point image must lie in [0, 1]; divide by 255, or clip it")
+            raise InputError(f"{name}: a floating-point image must lie in [0, 1]; divide by 255, or clip it")
         samples = np.rint(rgb * 65535).astype(np.uint16)
     else:
-        raise InputError(f"{name!r}: expected uint8, or float in [0, 1], got {rgb.dtype}")
+        raise InputError(f"{name}: expected uint8, or float in [0, 1], got {rgb.dtype}")
     if suffix not in suffixes:
         depth = 8 if rgb.dtype == np.uint8 else 16
-        raise InputError(f"{name!r}: {depth}-bit images are written as {', '.join(suffixes)}, not {suffix!r}")
+        raise InputError(f"{name}: {depth}-bit images are written as {', '.join(suffixes)}, not {suffix!r}")
     write_samples(path, samples, overwrite=overwrite)
 
 
@@ -142,7 +196,7 @@ def write_samples(path: str | os.PathLike[str], samples: npt.NDArray[Any], *, ov
         encodable = False
     if not encodable:
         raise InputError(
-            f"{os.fspath(path)!r}: {samples.dtype} samples of shape {samples.shape} can't be encoded as {suffix!r}"
+            f"{printable(path)}: {samples.dtype} samples of shape {samples.shape} can't be encoded as {suffix!r}"
         )
     with atomic_path(path, overwrite=overwrite) as temporary:
         temporary.write_bytes(encoded.tobytes())
@@ -155,54 +209,37 @@ def read_file_bytes(path: str | os.PathLike[str], limit: int | None = None) -> b
         InputError: no such file, a folder, a device, a file that may not be read, or one too large to be a
             picture of `MAX_PIXELS`.
     """
-    name = os.fspath(path)
+    name = printable(path)
     try:
         if not os.path.exists(path):
-            raise InputError(f"{name!r} does not exist")
+            raise InputError(f"{name} does not exist")
         if not os.path.isfile(path):
             kind = "a folder" if os.path.isdir(path) else "a device or a pipe"
-            raise InputError(f"{name!r} is {kind}; expected a file")
-        if limit is None and os.path.getsize(path) > _MAX_BYTES:
-            raise InputError(f"{name!r} has {os.path.getsize(path)} bytes; expected at most {_MAX_BYTES}")
+            raise InputError(f"{name} is {kind}; expected a file")
+        if limit is None and os.path.getsize(path) > MAX_BYTES // 2:
+            raise InputError(f"{name} has {os.path.getsize(path)} bytes; expected at most {MAX_BYTES // 2}")
         with open(path, "rb") as file:
             return file.read() if limit is None else file.read(limit)
     except OSError as error:
-        raise InputError(f"{name!r} can't be read: {error.strerror or error}") from error
+        raise InputError(f"{name} can't be read: {error.strerror or error}") from error
 
 
-def _decode(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], ImageHeader]:
-    data = read_file_bytes(path)
-    header = _read_header(path, data)
-    try:
-        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        decoded = None
-    if decoded is None:
-        raise InputError(f"{os.fspath(path)!r} is a broken image: its {header.format} data can't be decoded")
-    if decoded.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"{os.fspath(path)!r} holds {decoded.dtype} samples; expected 8 or 16 bits per sample")
-    if decoded.ndim == 2:
-        return decoded, header
-    to_rgb = cv2.COLOR_BGR2RGB if decoded.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
-    return cv2.cvtColor(decoded, to_rgb), header
-
-
-def _read_header(path: str | os.PathLike[str], data: bytes) -> ImageHeader:
-    name = os.fspath(path)
+def _read_header(path: str | os.PathLike[str], data: bytes) -> EncodedImage:
+    name = printable(path)
     if not data:
-        raise InputError(f"{name!r} is empty (0 bytes); expected an image")
+        raise InputError(f"{name} is empty (0 bytes); expected an image")
     try:
-        header = read_image_header(data)
+        header = read_header(data)
     except ValueError as error:
-        raise InputError(f"{name!r} is a broken image: {error}") from error
+        raise InputError(f"{name} is a broken image: {error}") from error
     if header is None:
         raise InputError(
-            f"{name!r} is no image that can be read (it begins with {data[:8]!r}); "
+            f"{name} is no image that can be read (it begins with {data[:8]!r}); "
             "expected PNG, JPEG, PPM/PGM, WebP, BMP or TIFF"
         )
     if not (header.width > 0 and header.height > 0 and header.width * header.height <= MAX_PIXELS):
         raise InputError(
-            f"{name!r} claims {header.width} x {header.height} pixels; "
+            f"{name} claims {header.width} x {header.height} pixels; "
             f"expected at least 1 and at most {MAX_PIXELS} in all"
         )
     return header

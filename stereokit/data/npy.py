@@ -1,9 +1,9 @@
 """Disparity in NumPy's files, read without ever unpickling and without trusting the header's size."""
 
 import ast
-import io
 import math
-import os
+import re
+import struct
 import zipfile
 import zlib
 from typing import IO, Any
@@ -19,14 +19,17 @@ from stereokit.data.disparity_arrays import (
     unknown_to_nan,
 )
 from stereokit.data.images import read_file_bytes
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path
 
 __all__ = ["NPY_MAGIC", "read_npy", "read_npz", "write_npy", "write_npz"]
 
 NPY_MAGIC = b"\x93NUMPY"
 _HEADER_LIMIT = 4096
-_BROKEN_ZIP = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError, ValueError)
+_TYPE = re.compile(r"[<>=|]?[a-zA-Z?]\d{0,3}")
+_STORED_OR_DEFLATED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_BROKEN_ZIP = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError, ValueError, struct.error)
+_PIECE = 2**20
 
 
 def read_npy(path: PathLike) -> Disparity:
@@ -39,7 +42,12 @@ def read_npy(path: PathLike) -> Disparity:
         InputError: a missing, malformed, truncated or too large file, or an array that is not (H, W) of
             numbers.
     """
-    return _read_stream(path, io.BytesIO(read_file_bytes(path)))
+    read_file_bytes(path, 0)  # whether it is a file
+    try:
+        with open(path, "rb") as file:
+            return _read_stream(path, file)
+    except OSError as error:
+        raise InputError(f"{printable(path)} can't be read: {error.strerror or error}") from error
 
 
 def write_npy(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = False) -> None:
@@ -63,20 +71,23 @@ def read_npz(path: PathLike) -> Disparity:
         InputError: a missing, malformed, truncated or too large file, several arrays none of which is
             "disparity", or an array that is not (H, W) of numbers.
     """
-    name = os.fspath(path)
+    name = printable(path)
     try:
-        with zipfile.ZipFile(io.BytesIO(read_file_bytes(path))) as archive:
+        read_file_bytes(path, 0)  # whether it is a file
+        with zipfile.ZipFile(path) as archive:
             names = [entry for entry in archive.namelist() if entry.endswith(".npy")]
             chosen = "disparity.npy" if "disparity.npy" in names else names[0] if len(names) == 1 else None
             if chosen is None:
                 keys = ", ".join(repr(entry[:-4][:40]) for entry in names[:8]) or "no arrays"
-                raise InputError(f"{name!r} holds {keys}; expected one array, or one named 'disparity'")
+                raise InputError(f"{name} holds {keys}; expected one array, or one named 'disparity'")
+            if archive.getinfo(chosen).compress_type not in _STORED_OR_DEFLATED:
+                raise InputError(f"{name} is compressed as numpy never does; write it with numpy.savez_compressed")
             with archive.open(chosen) as file:
                 return _read_stream(path, file)
     except InputError:
         raise
     except _BROKEN_ZIP as error:
-        raise InputError(f"{name!r} is a broken npz: {error}") from error
+        raise InputError(f"{name} is a broken npz: {_first_line(error)}") from error
 
 
 def write_npz(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = False) -> None:
@@ -92,18 +103,20 @@ def write_npz(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = Fal
 
 def _read_stream(path: PathLike, file: IO[bytes]) -> Disparity:
     """Reads an array after checking its header, which decides how much memory is reserved."""
-    name = os.fspath(path)
+    name = printable(path)
     try:
         shape, fortran_order, dtype = _read_header(file)
-    except (ValueError, TypeError, KeyError, SyntaxError, MemoryError, RecursionError) as error:
-        raise InputError(f"{name!r} is a broken npy: {(str(error) or repr(error)).splitlines()[0]}") from error
+    except (ValueError, TypeError, KeyError, SyntaxError, MemoryError, RecursionError, OverflowError) as error:
+        raise InputError(f"{name} is a broken npy: {_first_line(error)}") from error
     if dtype.kind not in "fiu" or len(shape) != 2:
-        raise InputError(f"{name!r} holds {dtype} of shape {shape}; expected real numbers of shape (H, W)")
-    check_claimed_size(path, shape)
+        raise InputError(f"{name} holds {dtype} of shape {str(shape)[:80]}; expected real numbers of shape (H, W)")
+    check_claimed_size(path, shape, dtype.itemsize)
     expected = math.prod(shape) * dtype.itemsize
-    data = file.read(expected)
+    data = bytearray()
+    while len(data) < expected and (piece := file.read(min(_PIECE, expected - len(data)))):
+        data += piece
     if len(data) < expected:
-        raise InputError(f"{name!r} is truncated: {expected} bytes of data announced, {len(data)} there")
+        raise InputError(f"{name} is truncated: {expected} bytes of data announced, {len(data)} there")
     return unknown_to_nan(np.frombuffer(data, dtype).reshape(shape, order="F" if fortran_order else "C"))
 
 
@@ -116,7 +129,17 @@ def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]
     if length > _HEADER_LIMIT:
         raise ValueError(f"its header claims {length} bytes")
     header = ast.literal_eval(file.read(length).decode("utf-8").strip())
-    shape, dtype = header["shape"], np.dtype(header["descr"])
-    if not (isinstance(shape, tuple) and all(isinstance(side, int) for side in shape)):
+    if not (isinstance(header, dict) and header.keys() == {"descr", "fortran_order", "shape"}):
+        raise ValueError("its header does not name descr, fortran_order and shape")
+    shape, fortran_order, kind = header["shape"], header["fortran_order"], header["descr"]
+    # bool is a kind of int
+    if not (isinstance(shape, tuple) and all(type(side) is int for side in shape)):
         raise ValueError("its shape is not made of whole numbers")
-    return shape, bool(header["fortran_order"]), dtype
+    if type(fortran_order) is not bool or not (isinstance(kind, str) and _TYPE.fullmatch(kind)):
+        raise ValueError("its type is not one of plain numbers")
+    return shape, fortran_order, np.dtype(kind)
+
+
+def _first_line(error: BaseException) -> str:
+    # where an object lies is no news
+    return re.sub(r" at 0x[0-9a-f]+", "", (str(error) or repr(error)).splitlines()[0])[:120]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stereokit.data.images import IMAGE_SUFFIXES
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 from stereokit.tables import counted
 
 __all__ = ["ImagePair", "match_pairs"]
@@ -47,21 +47,25 @@ def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> 
     kinds = _kind(left), _kind(right)
     if kinds[0] != kinds[1]:
         raise InputError(
-            f"{left!r} is a {kinds[0]} and {right!r} a {kinds[1]}; give two files, two folders or two patterns"
+            f"{printable(left)} is a {kinds[0]} and {printable(right)} a {kinds[1]}; give two files, two folders or "
+            "two patterns"
         )
     if kinds[0] == "file":
         for path in (left, right):
             if not os.path.exists(path):
-                raise InputError(f"{path!r} does not exist")
+                raise InputError(f"{printable(path)} does not exist")
         return [ImagePair(Path(left).stem, Path(left), Path(right))]
     find = _in_folder if kinds[0] == "folder" else _by_pattern
     lefts, rights = find(left), find(right)
     for where, found in ((left, lefts), (right, rights)):
         if not found:
-            raise InputError(f"no images found at {where!r}; expected {', '.join(sorted(IMAGE_SUFFIXES))} files")
-    alone = [str(path) for a, b in ((lefts, rights), (rights, lefts)) for key, path in a.items() if key not in b]
+            raise InputError(
+                f"no images found at {printable(where)}; expected {', '.join(sorted(IMAGE_SUFFIXES))} files"
+            )
+    alone = [path for a, b in ((lefts, rights), (rights, lefts)) for key, path in a.items() if key not in b]
     if alone:
-        shown = ", ".join(alone[:5]) + (f" and {len(alone) - 5} more" if len(alone) > 5 else "")
+        shown = ", ".join(printable(path, most=60)[1:-1] for path in alone[:4])
+        shown += f" and {len(alone) - 4} more" if len(alone) > 4 else ""
         raise InputError(
             f"{counted(len(alone), 'image')} without a partner of the same name on the other side: {shown}"
         )
@@ -77,26 +81,37 @@ def _kind(where: str) -> str:
 def _in_folder(folder: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for path in sorted(Path(folder).iterdir()):
-        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
+        if _is_image(path):
             _add(found, path.stem, path)
     return found
 
 
 def _by_pattern(pattern: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    expression = re.compile(_to_regex(pattern.replace(os.sep, "/")))
+    try:
+        expression = re.compile(_to_regex(pattern.replace(os.sep, "/")))
+    except re.error as error:
+        raise InputError(f"the pattern {printable(pattern)} can't be understood: {error.msg}") from error
     for name in sorted(glob.glob(pattern, recursive=True)):
         path = Path(name)
         match = expression.fullmatch(name.replace(os.sep, "/"))
-        if match and path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
+        if match and _is_image(path):
             texts = (text.strip("/").replace("/", "_") for text in match.groups())
             _add(found, "_".join(text for text in texts if text), path)
     return found
 
 
+def _is_image(path: Path) -> bool:
+    # hidden files are no images: macOS writes one, ._left.png, beside each on other systems' disks
+    return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
+
+
 def _add(found: dict[str, Path], key: str, path: Path) -> None:
     if key in found:
-        raise InputError(f"{str(found[key])!r} and {str(path)!r} both stand for {key!r}; name or order them apart")
+        raise InputError(
+            f"{printable(found[key])} and {printable(path)} both stand for {printable(key, most=40)}; name or order "
+            "them apart"
+        )
     found[key] = path
 
 

@@ -15,7 +15,7 @@ from stereokit.data.disparity_arrays import (
     unknown_to_nan,
 )
 from stereokit.data.images import read_file_bytes
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path
 
 __all__ = ["read_pfm", "write_pfm"]
@@ -49,24 +49,24 @@ def read_pfm(path: PathLike) -> Disparity:
     >>> read_pfm(path).tolist()
     [[3.0, nan]]
     """
-    name = os.fspath(path)
+    name = printable(path)
     match = _HEADER.match(read_file_bytes(path, _HEADER_LIMIT))
     if match is None:
-        raise InputError(f"{name!r} is no PFM: expected a header 'Pf', width, height, scale, end of line")
+        raise InputError(f"{name} is no PFM: expected a header 'Pf', width, height, scale, end of line")
     if match["kind"] == b"F":
-        raise InputError(f"{name!r} is a PFM with three channels ('PF'); disparity has one ('Pf')")
+        raise InputError(f"{name} is a PFM with three channels ('PF'); disparity has one ('Pf')")
     try:
         scale = float(match["scale"])
     except ValueError:
         scale = math.nan
     if not abs(scale) > 0:
-        raise InputError(f"{name!r}: the PFM's scale is {match['scale'].decode()!r}; expected a number other than 0")
+        raise InputError(f"{name}: the PFM's scale is {match['scale'].decode()!r}; expected a number other than 0")
     height, width = int(match["height"]), int(match["width"])
     check_claimed_size(path, (height, width))
     expected, actual = match.end() + 4 * height * width, os.path.getsize(path)
     if actual != expected:
         raise InputError(
-            f"{name!r} is {'truncated' if actual < expected else 'malformed'}: "
+            f"{name} is {'truncated' if actual < expected else 'malformed'}: "
             f"a PFM of {width} x {height} pixels with this header has {expected} bytes, the file {actual}"
         )
     stored = np.frombuffer(read_file_bytes(path), "<f4" if scale < 0 else ">f4", offset=match.end())

@@ -106,7 +106,7 @@ def _check_calibration(precision: str, calibration: Sequence[Pair] | None, size:
     if not calibration:
         raise ConfigError(
             "int8 needs pairs of images to measure the ranges of values on; give some like those to come "
-            "(calibration=[(left, right), ..]; --calibrate LEFT RIGHT, or a data set), or rendered ones "
+            "(calibration=[(left, right), ...]; --calibrate LEFT RIGHT, or a data set), or rendered ones "
             "(--calibrate synthetic)"
         )
     check_size(calibration, size, "of the calibration")

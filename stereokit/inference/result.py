@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stereokit.calibration import Calibration
+from stereokit.cameras.cloud import PointCloud, point_cloud
+from stereokit.cameras.depth import Depth, depth_from_disparity
 from stereokit.data.disparity_files import write_disparity
 from stereokit.data.disparity_png import fits_kitti_png
 from stereokit.data.images import write_image
@@ -49,6 +52,63 @@ class DisparityResult:
     def invalid(self) -> int:
         """How many pixels have no finite disparity; networks in order give 0."""
         return int(np.count_nonzero(~np.isfinite(self.disparity)))
+
+    def trusted(
+        self, *, min_confidence: float | None = None, valid: npt.NDArray[np.bool_] | None = None
+    ) -> npt.NDArray[np.bool_]:
+        """The pixels whose disparity is finite, within `valid`, and of at least this confidence; (H, W).
+
+        Raises:
+            InputError: a confidence out of range, or one that the network does not give.
+        """
+        kept = np.isfinite(self.disparity) if valid is None else np.isfinite(self.disparity) & valid
+        if min_confidence is None:
+            return kept
+        if not 0 <= min_confidence <= 1:
+            raise InputError(f"min_confidence is a share from 0 to 1, got {min_confidence}")
+        if self.confidence is None:
+            raise InputError("min_confidence needs a confidence, which this network does not give; leave it out")
+        return kept & (self.confidence >= min_confidence)
+
+    def depth(
+        self,
+        calibration: Calibration,
+        *,
+        min_confidence: float | None = None,
+        valid: npt.NDArray[np.bool_] | None = None,
+        max_depth: float | None = None,
+    ) -> Depth:
+        """Depth along the optical axis of the left camera, Z = baseline fx / (d + cx1 - cx0).
+
+        Args:
+            calibration: of images of this size.
+            min_confidence: pixels below it become unknown.
+            valid: (H, W), False where pixels become unknown.
+            max_depth: in metres; what is farther becomes unknown.
+
+        Returns:
+            (H, W) float32 in metres, NaN where unknown.
+
+        Raises:
+            InputError: a calibration or a mask of another size, or values out of range.
+
+        >>> result = DisparityResult(np.full((40, 60), 12.5, np.float32), confidence=None, seconds=0.1)
+        >>> camera = Calibration(fx=500.0, baseline=0.1, cx0=30.0, cx1=30.0)
+        >>> result.depth(camera).max().item()
+        4.0
+        """
+        kept = self.trusted(min_confidence=min_confidence, valid=valid)
+        return depth_from_disparity(self.disparity, calibration, valid=kept, max_depth=max_depth)
+
+    def point_cloud(self, calibration: Calibration, image: npt.NDArray[Any], **options: Any) -> PointCloud:
+        """The points that the left camera sees, see `stereokit.cameras.cloud.point_cloud`.
+
+        Args:
+            calibration: of images of this size, with cy.
+            image: the left one, (H, W, 3), uint8 or floating-point in [0, 1].
+            options: `min_confidence`, `valid`, `edge_filter`, `holes`, `max_depth`, `axes`.
+        """
+        return point_cloud(self.disparity, calibration, image, confidence=self.confidence, **options)
 
     def picture(self, value_range: tuple[float, float] | None = None) -> npt.NDArray[np.uint8]:
         """The disparity in colours above its scale, RGB."""

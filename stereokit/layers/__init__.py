@@ -12,7 +12,7 @@ from stereokit.layers.convolution import (
     relu,
 )
 from stereokit.layers.inverted_residual import InvertedResidual
-from stereokit.layers.residual import ResidualBlock
+from stereokit.layers.residual import ResidualBlock, residual_layer
 from stereokit.layers.up_step import UpStep
 from stereokit.layers.warp import warp
 
@@ -30,5 +30,6 @@ __all__ = [
     "leaky_relu",
     "named_activation",
     "relu",
+    "residual_layer",
     "warp",
 ]

@@ -1,8 +1,26 @@
 """Networks: a recipe of a page each."""
 
+from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
 from stereokit.models.coex import coex
+from stereokit.models.dispnetc import DispNetC
 from stereokit.models.gcnet import gcnet
+from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
 from stereokit.models.lightstereo import lightstereo_l, lightstereo_m, lightstereo_s
 from stereokit.models.psmnet import psmnet
+from stereokit.models.stereonet import stereonet_8x, stereonet_16x
 
-__all__ = ["coex", "gcnet", "lightstereo_l", "lightstereo_m", "lightstereo_s", "psmnet"]
+__all__ = [
+    "DispNetC",
+    "casstereo_gwc",
+    "casstereo_psm",
+    "coex",
+    "gcnet",
+    "gwcnet_g",
+    "gwcnet_gc",
+    "lightstereo_l",
+    "lightstereo_m",
+    "lightstereo_s",
+    "psmnet",
+    "stereonet_8x",
+    "stereonet_16x",
+]

@@ -11,7 +11,7 @@ from torch import Tensor
 from stereokit.builder import recipe
 from stereokit.weights.key_map import KeyMap, layer, publish
 
-__all__ = ["TRUNK", "psmnet"]
+__all__ = ["BRANCHES", "TRUNK", "psmnet"]
 
 psmnet = recipe(
     "psmnet",
@@ -44,6 +44,9 @@ TRUNK = KeyMap(
 )
 """The residual layers, which many networks after PSMNet have."""
 
+BRANCHES = KeyMap((f"branch{4 - i}.1.", f"branches.{i}.conv.") for i in range(4))
+"""The pyramid behind them."""
+
 publish(
     "psmnet",
     source="the checkpoints of CoEx's ablation",
@@ -53,10 +56,7 @@ publish(
     first_layers=("backbone.stem.0.0.weight",),
     keys=[
         *TRUNK.under("feature_extraction.", "backbone."),
-        ("feature_extraction.branch4.1.", "backbone.branches.0.conv."),
-        ("feature_extraction.branch3.1.", "backbone.branches.1.conv."),
-        ("feature_extraction.branch2.1.", "backbone.branches.2.conv."),
-        ("feature_extraction.branch1.1.", "backbone.branches.3.conv."),
+        *BRANCHES.under("feature_extraction.", "backbone."),
         ("feature_extraction.lastconv.0.", "backbone.fuse.0."),
         ("feature_extraction.lastconv.2.", "backbone.fuse.1."),
         *layer("cost_volume.conv.", "cost.projection.layers.0."),

@@ -99,7 +99,7 @@ def fold_batch_norm(conv: Convolution, norm: nn.BatchNorm2d | nn.BatchNorm3d) ->
     if conv.bias is not None:
         shift = shift + conv.bias.detach().double() * scale
     if conv.transposed:
-        # (in, out / groups, ..): the output channels of one group after the other
+        # (in, out / groups, ...): the output channels of one group after the other
         by_group = weight.reshape(conv.groups, -1, *weight.shape[1:])
         factors = scale.reshape(conv.groups, 1, -1, *[1] * len(conv.kernel_size))
         weight = (by_group * factors).flatten(0, 1)
@@ -167,7 +167,7 @@ class FusedConvolution(nn.Module):
         self.register_buffer("bias", bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, in_channels, .., H, W) to (B, out_channels, .., H', W')."""
+        """(B, in_channels, ..., H, W) to (B, out_channels, ..., H', W')."""
         x = x.to(self.weight.dtype)
         if self.subpixel:
             return self._doubled(x)

@@ -19,7 +19,7 @@ def soft_argmin(logits: Tensor, candidates: Tensor | None = None) -> Tensor:
 
     Args:
         logits: c, (B, D, H, W).
-        candidates: x, (D,) or broadcastable to the logits; 0, 1, .., D - 1 by default.
+        candidates: x, (D,) or broadcastable to the logits; 0, 1, ..., D - 1 by default.
 
     Returns:
         (B, H, W), in the unit of the candidates; float32 or, for float64 logits, float64.
@@ -47,7 +47,7 @@ def top_k_soft_argmin(logits: Tensor, k: int, candidates: Tensor | None = None) 
     Args:
         logits: c, (B, D, H, W).
         k: from 1 to D.
-        candidates: x, (D,) or broadcastable to the logits; 0, 1, .., D - 1 by default.
+        candidates: x, (D,) or broadcastable to the logits; 0, 1, ..., D - 1 by default.
 
     Returns:
         (B, H, W), in the unit of the candidates; float32 or, for float64 logits, float64.

@@ -132,8 +132,11 @@ def restore(
     try:
         load_state(model, state, source)
     except CheckpointError as error:
-        differing = [key for key, value in model.config.items() if config.get(key) != value]
-        if not overrides or not differing:
+        if not overrides:
+            raise
+        own = rebuild(config).config
+        differing = [key for key, value in model.config.items() if own.get(key) != value]
+        if not differing:
             raise
         raise CheckpointError(
             f"the weights {source!r} are of another network: it differs in {', '.join(differing)}; "

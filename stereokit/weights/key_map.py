@@ -77,7 +77,8 @@ class Published:
         licence: of that source.
         keys: where each weight goes.
         images: channel order of the images that the authors trained on.
-        first_layers: keys of ours whose weights see the image: they are turned around for "bgr".
+        first_layers: keys of ours whose weights see the image in their first three channels, which are turned around
+            for "bgr".
         negated: prefixes of published keys whose values change their sign: lower is better there, or flow to the left.
         unused: prefixes of published keys that the published forward pass never reaches.
         overrides: of `build_model`, for what the published network does otherwise than ours by default.

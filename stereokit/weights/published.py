@@ -184,7 +184,8 @@ def _in_our_terms(published: Published, state: Mapping[str, Tensor], order: Chan
     if order == "bgr":
         for key in published.first_layers:
             if key in ours and ours[key].dim() > 1:
-                ours[key] = ours[key].flip(1)
+                # behind the image there may be more, such as a disparity to be mended
+                ours[key] = torch.cat((ours[key][:, :3].flip(1), ours[key][:, 3:]), dim=1)
     return ours if published.convert is None else published.convert(ours)
 
 

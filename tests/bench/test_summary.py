@@ -1,6 +1,6 @@
 import pytest
 
-from stereokit import build_model, list_models
+from stereokit import StereoModel, build_model, list_models
 from stereokit.bench.summary import model_summary
 
 
@@ -9,7 +9,13 @@ def test_blocks_add_up_to_the_network(name: str) -> None:
     model = build_model(name)
     blocks = model_summary(model, 64, 96)
     assert sum(b.parameters for b in blocks) == sum(p.numel() for p in model.parameters())
-    assert [b.slot for b in blocks] == ["backbone", "cost", "aggregation", "regression", "upsampler"]
+    if isinstance(model, StereoModel):
+        slots = ["backbone", "candidates", "cost", "aggregation", "regression", "upsampler"]
+        slots += [f"coarse.{number}" for number in range(len(model.coarse))]
+        slots += [f"refinements.{number}" for number in range(len(model.refinements))]
+    else:
+        slots = [name for name, _ in model.named_children()]
+    assert [b.slot for b in blocks] == slots
     # nothing was computed, and the model is as it was
     assert all(p.device.type == "cpu" for p in model.parameters())
 

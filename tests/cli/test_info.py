@@ -25,4 +25,4 @@ def test_bad_input_is_one_line(
     (tmp_path / "net.onnx").touch()
     assert "net.onnx' is an exported file" in fails(capsys, "info", tmp_path / "net.onnx")
     monkeypatch.setitem(MODELS._factories, "slotless", nn.Identity)
-    assert "'slotless' is not made of slots" in fails(capsys, "info", "slotless")
+    assert "model 'slotless' is a Identity, not a StereoNetwork" in fails(capsys, "info", "slotless")

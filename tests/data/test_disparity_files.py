@@ -5,9 +5,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from stereokit.data import read_disparity, write_disparity
-from stereokit.data.disparity_files import ENCODINGS
+from stereokit.data.disparity_arrays import doubts
+from stereokit.data.disparity_files import ENCODINGS, assumed_scale
 from stereokit.data.images import write_samples
 from stereokit.errors import InputError
+from tests.data.encoded import tiff
 from tests.data.hostile import damaged, outcome
 
 QUARTERS = st.integers(1, 1000).map(lambda n: n / 4) | st.just(float("nan"))
@@ -90,3 +92,51 @@ def test_no_file_crashes_the_reader(tmp_path_factory, data, options):
     (folder / "damaged").write_bytes(data.draw(damaged(originals)))
     values = outcome(lambda path: read_disparity(path, **options), folder / "damaged")
     assert isinstance(values, str) or (values.dtype == np.float32 and values.ndim == 2)
+
+
+def test_floating_point_tiff_is_disparity(tmp_path):
+    values = np.array([[1.5, np.nan, np.inf]], np.float32)
+    for kind in (np.float32, np.float64):
+        (tmp_path / "a.tif").write_bytes(tiff(values.astype(kind)))
+        np.testing.assert_array_equal(read_disparity(tmp_path / "a.tif"), [[1.5, np.nan, np.nan]])
+    with pytest.raises(InputError, match="has no scale; leave out scale=4"):
+        read_disparity(tmp_path / "a.tif", scale=4)
+    assert assumed_scale(tmp_path / "a.tif") is None
+
+
+def test_the_scale_that_is_assumed(tmp_path):
+    for name, samples, scale in (
+        ("a.png", np.ones((2, 2), np.uint16), 256),
+        ("b.png", np.ones((2, 2), np.uint8), None),
+        ("c.tif", np.ones((2, 2), np.uint16), 256),
+    ):
+        write_samples(tmp_path / name, samples, overwrite=False)
+        assert assumed_scale(tmp_path / name) == scale
+    assert assumed_scale(tmp_path / "absent.png") is None
+
+
+@pytest.mark.parametrize("suffix", [".pfm", ".npy", ".npz", ".png"])
+def test_the_whole_numbers_of_opencv_are_not_written(tmp_path, suffix):
+    raw = np.array([[160, 245, -16]], np.int16)
+    with pytest.raises(InputError, match=r"as cv2\.StereoSGBM gives 16 times the disparity: divide by 16\.0"):
+        write_disparity(tmp_path / f"a{suffix}", raw)
+    with pytest.raises(InputError, match="whole numbers below 0; expected disparity in pixels, NaN where unknown"):
+        write_disparity(tmp_path / f"a{suffix}", np.array([[5, -1]]))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ([[-1.0, -2.0]], "all disparities are negative, -2 to -1: if they count leftward"),
+        ([[16.0, 160.0, np.nan]], "all disparities are multiples of 16"),
+        ([[16, 160]], "all disparities are multiples of 16"),
+        ([[16.0, 17.0]], None),
+        ([[16.0, 16.0]], None),
+        ([[np.nan]], None),
+        ([[0.0, 3.0]], None),
+    ],
+)
+def test_doubts(values, message):
+    found = doubts(np.array(values))
+    assert found is None if message is None else message in found

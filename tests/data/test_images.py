@@ -1,5 +1,7 @@
+import os
+import resource
 import struct
-import zlib
+import warnings
 
 import cv2
 import numpy as np
@@ -8,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from stereokit.data.image_header import read_image_header
-from stereokit.data.images import MAX_PIXELS, read_image, read_samples, write_image
+from stereokit.data.image_formats import read_header
+from stereokit.data.images import MAX_BYTES, MAX_PIXELS, read_image, read_samples, write_image
 from stereokit.errors import InputError
+from tests.data.encoded import encode, png, tiff
 from tests.data.hostile import damaged, outcome
 from tests.shared import SHARED, needs_shared
 
@@ -18,19 +21,6 @@ SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9), st.just(3))
 RNG = np.random.default_rng(0)
 COLOUR = RNG.integers(0, 256, (7, 5, 3), np.uint8)
 COLOUR[0, 0] = (200, 100, 50)
-
-
-def encode(suffix, samples):
-    return cv2.imencode(suffix, samples[..., ::-1] if samples.ndim == 3 else samples)[1].tobytes()
-
-
-def chunk(kind, data):
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-
-def png(width, height, depth, colour_type, rows):
-    header = struct.pack(">IIBBBBB", width, height, depth, colour_type, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
 @given(image=hnp.arrays(np.uint8, SHAPES), suffix=st.sampled_from([".png", ".ppm", ".bmp", ".tif", ".webp"]))
@@ -91,12 +81,6 @@ def test_pnm_names_its_white(tmp_path, peak, expected):
     assert read_samples(tmp_path / "a.pgm").tolist() == [[0, 1, 15]]
 
 
-def tiff(width, height, tile_width, tile_height):
-    sides = {256: width, 257: height, 322: tile_width, 323: tile_height}
-    entries = [(tag, 4, 1, side) for tag, side in sides.items()]
-    return b"II*\0\x08\0\0\0" + struct.pack("<H", 4) + b"".join(struct.pack("<HHII", *e) for e in entries) + bytes(4)
-
-
 def with_size(data, at, form, *size):
     return data[:at] + struct.pack(form, *size) + data[at + struct.calcsize(form) :]
 
@@ -107,10 +91,8 @@ HUGE = {
     "ppm of text": b"P3 1000000000 1000000000 255 1 2 3",
     "jpeg": b"\xff\xd8\xff\xc0" + struct.pack(">HBHHB", 8, 8, 65535, 65535, 0) + b"\xff\xda\0\2\0\xff\xd9",
     "bmp": with_size(encode(".bmp", COLOUR), 18, "<ii", 10**9, -(10**9)),
-    "webp": b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0\xff\xff\xff\xff\xff\xff",
-    "tiff": tiff(10**9, 8, 8, 8),
-    "tiff of wide tiles": tiff(8, 8, 10**9, 8),
-    "tiff of high tiles": tiff(8, 8, 8, 10**9),
+    "webp": b"RIFF\x20\0\0\0WEBPVP8L\x06\0\0\0\x2f\xff\xff\xff\x0f\0",
+    "tiff": tiff(np.zeros((1, 1), np.uint8), tags={256: [10**9], 257: [10**9]}),
 }
 
 
@@ -124,16 +106,14 @@ def test_a_huge_claim_is_refused_before_decoding(tmp_path, kind, monkeypatch):
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".ppm", ".webp", ".tif"])
 def test_header_agrees_with_the_decoder(suffix):
-    header = read_image_header(encode(suffix, COLOUR))
+    header = read_header(encode(suffix, COLOUR))
     assert (header.width, header.height) == (5, 7)
 
 
 def test_webp_headers():
     lossy = cv2.imencode(".webp", np.zeros((30, 40, 3), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 50])[1].tobytes()
     assert lossy[12:16] == b"VP8 "
-    assert read_image_header(lossy).width == 40
-    extended = b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0" + bytes([39, 0, 0, 29, 0, 0])
-    assert (read_image_header(extended).width, read_image_header(extended).height) == (40, 30)
+    assert (read_header(lossy).width, read_header(lossy).height) == (40, 30)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".ppm", ".webp", ".tif"])
@@ -148,10 +128,10 @@ def test_truncated(tmp_path, suffix, part):
 @pytest.mark.parametrize(("suffix", "message"), [(".png", "ends early"), (".jpg", "ends")])
 def test_the_end_is_looked_for_before_decoding(suffix, message):
     whole = encode(suffix, COLOUR)
-    assert read_image_header(whole + b"something after it") == read_image_header(whole)
+    assert read_header(whole + b"something after it") == read_header(whole)
     for missing in (1, 2, 13, len(whole) // 2):
         with pytest.raises(ValueError, match=message):
-            read_image_header(whole[:-missing])
+            read_header(whole[:-missing])
 
 
 def test_a_flipped_bit_in_a_png(tmp_path):
@@ -175,7 +155,7 @@ def test_files_that_are_no_images(tmp_path):
         read_image(tmp_path / "text.png")
     (tmp_path / "float.tif").write_bytes(cv2.imencode(".tif", np.zeros((2, 2), np.float32))[1].tobytes())
     with pytest.raises(InputError, match="float32 samples"):
-        read_image(tmp_path / "float.tif")
+        read_samples(tmp_path / "float.tif")
 
 
 def test_a_device_is_not_read_for_ever():
@@ -213,6 +193,84 @@ def test_writing_does_not_overwrite(tmp_path):
         write_image(tmp_path / "a.png", COLOUR[:2])
     write_image(tmp_path / "a.png", COLOUR[:2], overwrite=True)
     assert read_image(tmp_path / "a.png").shape == (2, 5, 3)
+
+
+@pytest.mark.parametrize(
+    ("width", "depth", "colour", "memory"), [(6500, 16, 6, 1128), (9500, 8, 4, 989), (8000, 16, 0, 976)]
+)
+def test_the_memory_that_decoding_takes_is_known_before(tmp_path, monkeypatch, width, depth, colour, memory):
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: np.zeros((1, 1), np.uint8))
+    (tmp_path / "a.png").write_bytes(png(width, width, depth, colour, b""))
+    refused = memory > MAX_BYTES // 2**20
+    message = rf"take {memory} MiB to decode; expected at most 1024 MiB" if refused else "another size than its data"
+    with pytest.raises(InputError, match=message):
+        read_image(tmp_path / "a.png")
+
+
+def test_decoding_takes_no_more_memory_than_was_said(tmp_path):
+    # 36 bytes a pixel at most are 520 MiB here; a child process would measure the same
+    (tmp_path / "a.png").write_bytes(png(4000, 4000, 16, 6, bytes(4000 * (1 + 4000 * 8))))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    read_samples(tmp_path / "a.png")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**10 * 500
+
+
+def test_floating_point_tiff(tmp_path):
+    values = np.linspace(0, 1, 24, dtype=np.float32).reshape(2, 4, 3)
+    (tmp_path / "a.tif").write_bytes(tiff(values))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), values)
+    (tmp_path / "deep.tif").write_bytes(tiff(values * 4095))
+    with pytest.raises(InputError, match=r"from 0 to 4095; expected \[0, 1\]; .*say bit_depth"):
+        read_image(tmp_path / "deep.tif")
+    np.testing.assert_allclose(read_image(tmp_path / "deep.tif", bit_depth=12), values, rtol=1e-6)
+    (tmp_path / "nan.tif").write_bytes(tiff(values * np.nan))
+    with pytest.raises(InputError, match="24 values that are NaN"):
+        read_image(tmp_path / "nan.tif")
+
+
+def test_min_is_white_in_images(tmp_path):
+    for top, kind in ((255, np.uint8), (65535, np.uint16)):
+        (tmp_path / "a.tif").write_bytes(tiff(np.array([[0, top]], kind), photometric=0))
+        assert read_image(tmp_path / "a.tif")[0, :, 0].tolist() == ([255, 0] if top == 255 else [1, 0])
+
+
+def test_bit_depth(tmp_path):
+    samples = np.array([[0, 1024, 4095]], np.uint16)
+    (tmp_path / "a.png").write_bytes(encode(".png", samples))
+    np.testing.assert_allclose(read_image(tmp_path / "a.png", bit_depth=12)[0, :, 1], [0, 1024 / 4095, 1], rtol=1e-6)
+    with pytest.raises(InputError, match="samples up to 4095; bit_depth=10 allows 1023"):
+        read_image(tmp_path / "a.png", bit_depth=10)
+    for wrong in (0, 17, 12.0, True, "12"):
+        with pytest.raises(InputError, match="whole number from 1 to 16"):
+            read_image(tmp_path / "a.png", bit_depth=wrong)
+    (tmp_path / "b.png").write_bytes(encode(".png", COLOUR))
+    with pytest.raises(InputError, match="8 bits per sample: leave out bit_depth=12"):
+        read_image(tmp_path / "b.png", bit_depth=12)
+    (tmp_path / "c.pgm").write_bytes(b"P5 2 1 1023 " + bytes([0, 5, 1, 7]))
+    with pytest.raises(InputError, match="names 1023 as its white"):
+        read_image(tmp_path / "c.pgm", bit_depth=12)
+
+
+@pytest.mark.parametrize(("top", "bits"), [(1, 1), (4095, 12), (16383, 14), (16384, None), (65535, None), (0, None)])
+def test_dark_sixteen_bits_are_warned_of(tmp_path, top, bits):
+    samples = np.zeros((30, 40), np.uint16)
+    samples[3, 4] = top
+    (tmp_path / "a.png").write_bytes(encode(".png", samples))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_image(tmp_path / "a.png")
+    assert [f"need {bits} bits only" in str(warning.message) for warning in caught] == ([True] if bits else [])
+    if bits:
+        read_image(tmp_path / "a.png", bit_depth=bits)
+
+
+def test_names_are_printable(tmp_path):
+    for name in (b"a\x1b[31m.png", b"new\nline.png", b"not utf \xff.png", b"long" * 50):
+        with pytest.raises(InputError, match="does not exist") as caught:
+            read_image(tmp_path / os.fsdecode(name))
+        assert str(caught.value).isprintable()
+        assert len(str(caught.value)) < 400
+        str(caught.value).encode()
 
 
 ORIGINALS = [encode(suffix, COLOUR) for suffix in (".png", ".jpg", ".bmp", ".ppm", ".webp", ".tif")]

@@ -10,7 +10,8 @@ from PIL import Image
 
 from stereokit import InputError
 from stereokit.data import write_image
-from stereokit.data.inputs import to_image_tensor, to_pair
+from stereokit.data.images import write_samples
+from stereokit.data.inputs import as_array, to_image_tensor, to_pair
 
 shapes = st.tuples(st.integers(1, 6), st.integers(1, 6))
 
@@ -76,6 +77,10 @@ def test_a_path_is_read_as_rgb(tmp_path: Path) -> None:
         (np.full((4, 4), -1.0, np.float32), r"from -1 to -1; expected \[0, 1\]"),
         (torch.zeros(2, 3, 4, 4), r"tensor of shape \(2, 3, 4, 4\)"),
         (torch.zeros(4, 4, 3), "tensor of shape"),
+        (torch.zeros(3, 4, 4).to_sparse(), "is sparse; expected a plain tensor"),
+        (torch.zeros(3, 4, 4, device="meta"), "lies on the meta device"),
+        (torch.zeros(3, 4, 4, dtype=torch.complex64), "complex64"),
+        (b"left.png", "is bytes; expected"),
         ([[1, 2]], "is list; expected"),
         (None, "is NoneType; expected"),
     ],
@@ -112,3 +117,48 @@ def test_a_pair_has_one_size_and_one_type() -> None:
         to_pair(np.zeros((3, 4), np.uint8), np.zeros((5, 4), np.uint8))
     left, right = to_pair(np.full((3, 4), 51, np.uint8), np.full((3, 4), 0.2, np.float32))
     assert torch.allclose(left, right)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ("left.png", "got 'left.png'; expected an array"),
+        (Path("left.png"), "got 'left.png'; expected an array"),
+        ([[1], [1, 2]], "got a list of rows that are not alike; expected an array"),
+        (b"left.png", "got b'left.png'; expected an array"),
+        (torch.zeros(2, device="meta"), "meta device"),
+        (torch.zeros(2, 2).to_sparse(), "the tensor is sparse"),
+    ],
+)
+def test_what_is_no_array(values: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        as_array(values)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_quantised_tensor_is_refused() -> None:
+    with pytest.raises(InputError, match="is quantised; expected a plain tensor"):
+        to_image_tensor(torch.quantize_per_tensor(torch.zeros(3, 4, 4), 1, 0, torch.quint8))
+
+
+def test_bit_depth_of_every_kind_of_image(tmp_path: Path) -> None:
+    deep = np.array([[0, 2048, 4095]], np.uint16)
+    expected = torch.from_numpy((deep / 4095).astype(np.float32)).expand(1, 3, -1, -1)
+    write_samples(tmp_path / "deep.png", deep, overwrite=False)
+    for image in (deep, torch.from_numpy(deep), Image.fromarray(deep), deep.astype(np.float32), tmp_path / "deep.png"):
+        torch.testing.assert_close(to_image_tensor(image, bit_depth=12), expected)
+    for image in (deep.astype(np.float32) / 4095, -deep.astype(np.float32)):
+        with pytest.raises(InputError, match=r"bit_depth=12 takes values from 0 to 4095, some above 1"):
+            to_image_tensor(image, bit_depth=12)
+    with pytest.raises(InputError, match="whole number from 1 to 16, got 99"):
+        to_image_tensor(deep, bit_depth=99)
+
+
+def test_bit_depth_of_a_pair_is_that_of_its_deep_views() -> None:
+    deep, flat = np.full((4, 5), 4095, np.uint16), np.full((4, 5), 255, np.uint8)
+    with pytest.warns(UserWarning, match="one image of a pair has 8 bits per sample, the other more"):
+        left, right = to_pair(flat, deep, bit_depth=12)
+    assert torch.equal(left, right)
+    with pytest.raises(InputError, match="both images have 8 bits per sample: leave out bit_depth=12"):
+        to_pair(flat, flat, bit_depth=12)
+    assert to_pair(flat, flat, bit_depth=8)[0].dtype == torch.uint8

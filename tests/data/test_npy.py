@@ -113,6 +113,14 @@ def test_pickles_do_not_run(tmp_path):
         (claim("(" * 9000), "broken npy"),
         (b"\x93NUMPY\2\0\xff\xff\xff\xff{", "header claims 4294967295 bytes"),
         (b"\x93NUMPY\x09\0\1\0{", "broken npy"),
+        (claim("{'descr': '<f4', 'fortran_order': False, 'shape': (True, 2)}"), "not made of whole numbers"),
+        (claim("{'descr': '<f4', 'fortran_order': 0, 'shape': (2, 2)}"), "type is not one of plain numbers"),
+        (claim("{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (2, 2)}"), "not one of plain numbers"),
+        (
+            claim("{'descr': '<f16', 'fortran_order': False, 'shape': (9000, 9000)}"),
+            "of 16 bytes; expected at most 1024",
+        ),
+        (claim("['descr']"), "does not name descr"),
     ],
 )
 def test_malformed(tmp_path, content, message):
@@ -140,6 +148,24 @@ def test_an_encrypted_or_damaged_member(tmp_path):
     (tmp_path / "b.npz").write_bytes(good[:40])
     with pytest.raises(InputError, match="broken npz"):
         read_npz(tmp_path / "b.npz")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_a_compression_that_numpy_does_not_write(tmp_path, method):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive:
+        archive.writestr("disparity.npy", npy(np.ones((4, 4))))
+    with pytest.raises(InputError, match="compressed as numpy never does; write it with"):
+        read_npz(tmp_path / "a.npz")
+
+
+def test_an_archive_that_swells_takes_little_memory(tmp_path):
+    # 48 million zeros in 50 kB, of which the header wants 8
+    (tmp_path / "a.npz").write_bytes(zipped(npy(np.ones((2, 2), np.float16)) + bytes(48 * 10**6)))
+    tracemalloc.start()
+    assert read_npz(tmp_path / "a.npz").shape == (2, 2)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2 * 10**6
 
 
 @given(data=damaged([npy(np.ones((3, 2), np.float32)), zipped(npy(np.ones((3, 2)))), zipped(b"x", "a.txt")]))

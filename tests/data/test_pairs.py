@@ -82,3 +82,22 @@ def test_nothing_found_mixed_kinds_and_doubles_are_refused(tmp_path: Path) -> No
         match_pairs(tmp_path / "l", tmp_path / "r/a.png")
     with pytest.raises(InputError, match="both stand for 'a'"):
         match_pairs(tmp_path / "twice", tmp_path / "r")
+
+
+def test_hidden_files_are_no_images(tmp_path: Path) -> None:
+    touch(*(tmp_path / side / "0001.png" for side in "lr"), tmp_path / "l/._0001.png", tmp_path / "l/._0002.png")
+    assert [pair.name for pair in match_pairs(tmp_path / "l", tmp_path / "r")] == ["0001"]
+    assert [pair.name for pair in match_pairs(tmp_path / "l/*.png", tmp_path / "r/*.png")] == ["0001"]
+
+
+def test_a_pattern_that_can_not_be_understood(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"pattern .* can't be understood"):
+        match_pairs(tmp_path / "[z-a]*.png", tmp_path / "b*.png")
+
+
+def test_messages_are_short_and_printable(tmp_path: Path) -> None:
+    touch(*(tmp_path / "l" / f"{number}\x1b[31m{'x' * 200}.png" for number in range(9)), tmp_path / "r/a.png")
+    with pytest.raises(InputError, match="without a partner") as caught:
+        match_pairs(tmp_path / "l", tmp_path / "r")
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 400

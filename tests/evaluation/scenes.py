@@ -49,7 +49,7 @@ def constant(disparity):
 
 
 class Batches:
-    """A matcher that takes batches, says 1, 2, 3, .. for the images it sees, and remembers how they came."""
+    """A matcher that takes batches, says 1, 2, 3, ... for the images it sees, and remembers how they came."""
 
     def __init__(self):
         self.sizes = []

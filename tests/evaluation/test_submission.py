@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from stereokit.data import read_image, read_kitti_png
+from stereokit.data import read_kitti_png
 from stereokit.data.datasets import open_dataset
+from stereokit.data.images import read_samples
 from stereokit.errors import InputError
 from stereokit.evaluation import KittiSubmission, evaluate
 from tests.evaluation.scenes import SIZE, constant, save_kitti, save_scene
@@ -22,7 +23,7 @@ def test_the_layout_is_that_of_the_server(tmp_path, year, folder):
     files = sorted(path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.png"))
     assert files == [(f"{folder}/" if folder != "." else "") + name for name in ("000000_10.png", "000007_10.png")]
     path = tmp_path / "out" / folder / "000007_10.png"
-    assert read_image(path).dtype == np.float32
+    assert read_samples(path).dtype == np.uint16
     stored = read_kitti_png(path)
     assert stored.shape == SIZE
     assert np.isnan(stored[0, 0])

@@ -6,6 +6,8 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
+
 __all__ = ["CASES", "Case", "Golden", "Tap"]
 
 ALL_EXPORTS = ("onnx", "openvino", "program")
@@ -100,15 +102,75 @@ def _lightstereo(size: str, parameters: int) -> Case:
     return Case(parameters=parameters, golden=Golden(f"lightstereo_{size}", norm=(0.5, 0.75), taps=taps))
 
 
+def _gwcnet(name: str) -> Golden:
+    taps = {"volume": Tap("cost", "6/4/4"), "head3": Tap("aggregation", "2/2/2", item=-1)}
+    return Golden(name, norm=(0.5, 0.75), taps=taps)
+
+
+def _casstereo(name: str, lowest: float, head1: str) -> Golden:
+    return Golden(
+        name,
+        norm=(lowest, 0.75),
+        taps={
+            "head1": Tap("coarse.0.aggregation", head1, item=-1),
+            "stage1": Tap("coarse.0.regression", "2/2"),
+            "range2": Tap("candidates", "16/16", field="values"),
+            "head2": Tap("aggregation", "4/4", item=-1),
+        },
+    )
+
+
 ELSEWHERE = "held to its recordings in tests/weights/test_published.py"
+
+STEREONET = {
+    "feature": Tap("backbone.head", left=True),
+    "cost": Tap("aggregation", item=0, sign=-1),
+    "disparity_low": Tap("upsampler"),
+    "refined_1": Tap("refinements.0"),
+}
 
 CASES: dict[str, Case] = {
     "coex": Case(parameters=2_721_993, golden=ELSEWHERE),
     "psmnet": Case(parameters=5_224_768, golden=ELSEWHERE),
     "gcnet": Case(parameters=2_845_376, golden="no weights were published"),
+    "gwcnet_g": Case(parameters=6_518_560, training_only=85_728, golden=_gwcnet("gwcnet_g")),
+    "gwcnet_gc": Case(parameters=6_909_728, training_only=85_728, golden=_gwcnet("gwcnet_gc")),
+    "casstereo_psm": Case(
+        parameters=10_505_568, training_only=2 * 85_728, golden=_casstereo("casstereo_psm", 0.5, "4/4")
+    ),
+    "casstereo_gwc": Case(
+        parameters=10_943_776, training_only=2 * 85_728, golden=_casstereo("casstereo_gwc", 0.45, "2/2")
+    ),
     "lightstereo_s": _lightstereo("s", 3_441_360),
     "lightstereo_m": _lightstereo("m", 7_641_264),
     "lightstereo_l": _lightstereo("l", 24_286_512),
+    "stereonet_8x": Case(
+        parameters=624_644,
+        golden=Golden("stereonet_8x", norm=(0.5, 0.8), taps=STEREONET),
+        loss="robust",
+    ),
+    "stereonet_16x": Case(
+        parameters=763_109,
+        golden=Golden("stereonet_16x", norm=(0.5, 0.8), taps=STEREONET),
+        loss="robust",
+    ),
+    "dispnetc": Case(
+        parameters=42_429_110,
+        golden=Golden(
+            "dispnetcorr1d",
+            norm=(1.0, 1.0),  # it has none
+            seed=2,
+            taps={
+                "correlation": Tap("correlation", "2/2"),
+                "predict6": Tap("decoder.predict", sign=-1),
+                "predict2": Tap("decoder.levels.1.predict", sign=-1),
+                "predict1": Tap("decoder.levels.0.predict", sign=-1),
+            },
+            overrides={"mean": IMAGENET_MEAN, "std": IMAGENET_STD},
+        ),
+        loss="l1",
+        size=(64, 128),
+    ),
 }
 
 

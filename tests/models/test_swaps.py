@@ -1,4 +1,4 @@
-"""Blocks in networks that did not bring them."""
+"""Blocks in networks that did not bring them: (network, what is chosen otherwise)."""
 
 import json
 
@@ -8,7 +8,19 @@ import torch
 from stereokit import build_model
 from stereokit.losses import stereo_loss
 
+REFINED = [{"name": "edge_aware", "channels": 8, "dilations": [1, 2]}]
+
 SWAPS = [
+    ("coex", {"refinements": REFINED}),
+    ("gcnet", {"refinements": REFINED}),
+    ("psmnet", {"refinements": REFINED * 2}),
+    ("coex", {"aggregation": {"name": "plain", "channels": 8}, "guidance_at": "one"}),
+    ("psmnet", {"aggregation": {"name": "plain", "channels": 8}, "guidance": "gce", "guidance_at": "full"}),
+    ("psmnet", {"backbone": {"name": "strided", "channels": 8, "halvings": 2}}),
+    ("gcnet", {"backbone": {"name": "strided", "channels": 8, "halvings": 1}, "guidance": "gce"}),
+    ("stereonet_8x", {"guidance": "gce", "top_k": 2}),
+    ("stereonet_8x", {"upsampler": "bilinear", "cost": "correlation"}),
+    ("stereonet_16x", {"upsampler": "bilinear", "refinements": []}),
     ("coex", {"guidance": "msca"}),
     ("psmnet", {"guidance": "msca", "guidance_at": "one"}),
     ("lightstereo_s", {"guidance": "gce"}),

@@ -149,7 +149,7 @@ def test_networks_made_by_hand_are_refused(tmp_path):
     made = small_coex()
     slots = ("backbone", "cost", "aggregation", "regression", "upsampler")
     blocks = {slot: getattr(made, slot) for slot in slots}
-    model = StereoModel(**blocks, max_disparity=32, mean=[0, 0, 0], std=[1, 1, 1])
+    model = StereoModel(**blocks, max_disparity=32)
     with pytest.raises(ConfigError, match="it has no configuration"):
         model.save_pretrained(tmp_path / "network")
     assert not (tmp_path / "network").exists()

@@ -58,7 +58,8 @@ def test_what_ships_is_whole_small_and_says_where_it_is_from(name):
     assert all(len(digest) == 64 for digest in (manifest["training"]["textures"] or {}).values())
     assert {"recipe", "seed", "commit", "steps", "pairs_seen", "command"} <= manifest["training"].keys()
     assert "command" in manifest["results"]
-    assert build_model(manifest["network"]).config == manifest["network"]
+    # what later versions can do besides is left at its default
+    assert build_model(manifest["network"]).config.items() >= manifest["network"].items()
     assert load_weights(name).config["name"] == name.partition(".")[0]
 
 

@@ -116,7 +116,7 @@ def rectified(
 ) -> Calibration:
     """The calibration of two projection matrices 3 x 4 of rectified cameras, row by row.
 
-    A matrix is f 0 cx -f x | 0 fy cy .. | 0 0 1 0 for a camera that stands at x, so that the baseline is
+    A matrix is f 0 cx -f x | 0 fy cy ... | 0 0 1 0 for a camera that stands at x, so that the baseline is
     (P_left[0, 3] - P_right[0, 3]) / f.
 
     Args:

@@ -1,5 +1,6 @@
 """Reading a whole data set once, to know what is in it before trusting numbers from it."""
 
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -7,7 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry, StereoSample
-from stereokit.errors import InputError
+from stereokit.data.disparity_arrays import doubts
+from stereokit.errors import InputError, printable
+from stereokit.tables import counted
 
 __all__ = ["DatasetReport", "check_dataset", "format_report"]
 
@@ -27,8 +30,11 @@ class DatasetReport:
         lowest: the smallest known disparity in pixels, None where there is none.
         highest: the largest.
         sparsest: name and density of the pair with the least known disparity.
+        assumed_scales: how many pairs have ground truth whose scale was assumed, for each such scale.
+        warnings: what was odd, and in how many pairs.
         broken: name and error of each pair that can't be read.
         passed_over: folders of images that make no pair of the kind.
+        unused_truth: files that look like ground truth and are not read.
     """
 
     name: str
@@ -43,8 +49,11 @@ class DatasetReport:
     lowest: float | None = None
     highest: float | None = None
     sparsest: tuple[str, float] | None = None
+    assumed_scales: Counter[float] = field(default_factory=Counter)
+    warnings: Counter[str] = field(default_factory=Counter)
     broken: list[tuple[str, str]] = field(default_factory=list)
     passed_over: tuple[str, ...] = ()
+    unused_truth: tuple[str, ...] = ()
 
     @property
     def density(self) -> float | None:
@@ -60,6 +69,10 @@ class DatasetReport:
         self.with_calibration += sample.calibration is not None
         if sample.disparity is None:
             return
+        if sample.assumed_scale is not None:
+            self.assumed_scales[sample.assumed_scale] += 1
+        if doubt := doubts(sample.disparity):
+            self.warnings[f"ground truth: {doubt}"] += 1
         known = sample.disparity[np.isfinite(sample.disparity)]
         density = known.size / sample.disparity.size
         self.with_truth += 1
@@ -93,14 +106,17 @@ def check_dataset(
     >>> report.pairs, len(report.broken)
     (1, 1)
     """
-    name = f"{dataset.kind}, split {dataset.split!r}, in {str(dataset.root)!r}"
-    report = DatasetReport(name, passed_over=dataset.passed_over)
+    name = f"{dataset.kind}, split {dataset.split!r}, in {printable(dataset.root)}"
+    report = DatasetReport(name, passed_over=dataset.passed_over, unused_truth=dataset.unused_truth)
     for entry in progress(dataset.entries):
         report.pairs += 1
-        try:
-            report.add(entry.read())
-        except InputError as error:
-            report.broken.append((entry.name, str(error)))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                report.add(entry.read())
+            except InputError as error:
+                report.broken.append((entry.name, str(error)))
+        report.warnings.update({str(warning.message) for warning in caught})
     return report
 
 
@@ -124,14 +140,23 @@ def format_report(report: DatasetReport, *, most: int = 20) -> str:
     if report.lowest is not None and report.highest is not None:
         lines.append(f"  disparity         {report.lowest:.2f} to {report.highest:.2f} pixels")
     if report.density is not None and report.sparsest is not None:
-        name, density = report.sparsest
+        name, density = printable(report.sparsest[0])[1:-1], report.sparsest[1]
         lines.append(f"  known disparity   {report.density:.1%} of the pixels; least in {name} ({density:.1%})")
+    for scale, count in report.assumed_scales.most_common():
+        lines.append(f"  scale assumed     {scale:g} for a pixel of disparity, in {counted(count, 'pair')}")
+    lines += [
+        f"  warning           {text} ({counted(count, 'pair')})" for text, count in report.warnings.most_common(most)
+    ]
     lines.append(f"  broken            {len(report.broken)}")
-    lines += [f"    {name}: {message}" for name, message in report.broken[:most]]
+    lines += [f"    {printable(name)[1:-1]}: {message}" for name, message in report.broken[:most]]
     if len(report.broken) > most:
         lines.append(f"    and {len(report.broken) - most} more")
     if report.passed_over:
-        lines.append(f"  passed over       {_shortened(list(report.passed_over), most)}: no files of the kind")
+        names = _shortened([printable(name)[1:-1] for name in report.passed_over], most)
+        lines.append(f"  passed over       {names}: no files of the kind")
+    if report.unused_truth:
+        names = _shortened([printable(name)[1:-1] for name in report.unused_truth], most)
+        lines.append(f"  not read          {names}: looks like ground truth, but is not named as the kind's")
     return "\n".join(lines)
 
 

@@ -2,6 +2,7 @@
 
 import copy
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.calibration.rectified import Calibration
+from stereokit.data.bit_depth import warn_of_other_depths
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.images import read_image
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 from stereokit.registry import Registry
 
 __all__ = ["DATASETS", "Mask", "Source", "StereoDataset", "StereoEntry", "StereoSample"]
@@ -43,9 +45,11 @@ class StereoSample:
             pixel in column x lies in column x + d of the left view. None without it.
         right_nonocc: (H, W) bool, True where the right pixel is seen by the left camera too. None where that is
             unknown.
+        assumed_scale: the stored value of one pixel of disparity that was taken for granted, because neither the file
+            nor the caller named it. None where nothing was.
 
     Raises:
-        InputError: the parts are not of one size.
+        InputError: the parts are not of one size, or are no images and maps.
     """
 
     name: str
@@ -57,8 +61,13 @@ class StereoSample:
     calibration: Calibration | None = None
     right_disparity: Disparity | None = None
     right_nonocc: Mask | None = None
+    assumed_scale: float | None = None
 
     def __post_init__(self) -> None:
+        name = f"pair {printable(self.name, most=80)}"
+        for view, image in (("left", self.left), ("right", self.right)):
+            if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+                raise InputError(f"{name}: the {view} image has shape {image.shape}; expected (H, W, 3)")
         height, width = self.left.shape[:2]
         parts = {
             "right image": self.right,
@@ -69,11 +78,21 @@ class StereoSample:
             "right view's non-occluded mask": self.right_nonocc,
         }
         for part, values in parts.items():
-            if values is not None and values.shape[:2] != (height, width):
+            if values is None:
+                continue
+            if part != "right image" and values.ndim != 2:
+                raise InputError(f"{name}: the {part} has shape {values.shape}; expected (H, W)")
+            if values.shape[:2] != (height, width):
                 raise InputError(
-                    f"pair {self.name!r}: the {part} is {values.shape[1]} x {values.shape[0]} pixels, "
+                    f"{name}: the {part} is {values.shape[1]} x {values.shape[0]} pixels, "
                     f"the left image {width} x {height}; expected one size"
                 )
+        camera = self.calibration
+        if camera is not None and (camera.width or width, camera.height or height) != (width, height):
+            raise InputError(
+                f"{name}: the calibration is of images of {camera.width} x {camera.height} pixels, the left image is "
+                f"{width} x {height}; give that of this size: depth would be off by the ratio"
+            )
 
 
 @dataclass(frozen=True)
@@ -114,6 +133,7 @@ class StereoEntry:
     calibration: Source[Calibration] | None = None
     right_disparity: Source[Disparity] | None = None
     right_nonocc: Source[Mask] | None = None
+    assumed_scale: Source[float | None] | None = None
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -133,17 +153,31 @@ class StereoEntry:
 
         Raises:
             InputError: a missing or broken file, or parts of different sizes.
+
+        Warns:
+            UserWarning: a scale of ground truth had to be assumed, or the images do not use their bits (see
+                `read_image`).
         """
+        left, right = read_image(self.left), read_image(self.right)
+        warn_of_other_depths(left, right)
+        assumed = self.assumed_scale() if self.assumed_scale else None
+        if assumed is not None:
+            warnings.warn(
+                f"ground truth that does not name its scale is taken to hold {assumed:g} for a pixel of disparity: if "
+                f"that is right, say so (scale={assumed:g}), else give the right one",
+                stacklevel=2,
+            )
         return StereoSample(
             name=self.name,
-            left=read_image(self.left),
-            right=read_image(self.right),
+            left=left,
+            right=right,
             disparity=self.disparity() if self.disparity else None,
             nonocc=self.nonocc() if self.nonocc else None,
             objects=self.objects() if self.objects else None,
             calibration=self.calibration() if self.calibration else None,
             right_disparity=self.right_disparity() if self.right_disparity else None,
             right_nonocc=self.right_nonocc() if self.right_nonocc else None,
+            assumed_scale=assumed,
         )
 
 
@@ -159,16 +193,25 @@ class StereoDataset(Sequence[StereoSample]):
         split: which part of it this is.
         entries: where the pairs lie.
         passed_over: folders that hold images, and that the kind can make no pair of.
+        unused_truth: files that look like ground truth, and are none by the kind's rules.
     """
 
     def __init__(
-        self, kind: str, root: Path, split: str, entries: Sequence[StereoEntry], *, passed_over: Sequence[str] = ()
+        self,
+        kind: str,
+        root: Path,
+        split: str,
+        entries: Sequence[StereoEntry],
+        *,
+        passed_over: Sequence[str] = (),
+        unused_truth: Sequence[str] = (),
     ) -> None:
         self.kind = kind
         self.root = root
         self.split = split
         self.entries = tuple(entries)
         self.passed_over = tuple(passed_over)
+        self.unused_truth = tuple(unused_truth)
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -194,4 +237,4 @@ class StereoDataset(Sequence[StereoSample]):
 
     def missing_files(self) -> list[Path]:
         """The files of the data set that are not there."""
-        return [path for entry in self.entries for path in entry.paths if not path.is_file()]
+        return [path for entry in self.entries for path in entry.paths if not os.path.isfile(path)]

@@ -1,14 +1,16 @@
 """KITTI: the stereo benchmarks of 2012 and 2015, and the raw recordings.
 
+Images may be PNG, or JPEG as many keep them; ground truth is PNG. Frames _11, which are for the flow benchmarks, have
+no ground truth and are left out.
+
 The benchmarks have ground truth for their training part alone. To choose hyper-parameters the field splits
 that part into 90 % for training and 10 % for validation, and the publications do not list the frames. Ours
 are fixed by the number of the frame: it is validation if the number can be divided by ten (000000, 000010,
 ...), which gives 20 of the 194 frames of 2012 and 20 of the 200 frames of 2015.
 """
 
-import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from functools import partial
 from pathlib import Path
 
@@ -17,16 +19,23 @@ import numpy.typing as npt
 
 from stereokit.calibration.formats.kitti import read_kitti_calibration
 from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDataset, StereoEntry
-from stereokit.data.datasets.layout import check_choice, first_folder, image_names, list_folder, make_dataset
+from stereokit.data.datasets.layout import (
+    check_choice,
+    first_folder,
+    image_names,
+    images_by_stem,
+    list_folder,
+    make_dataset,
+)
 from stereokit.data.disparity_arrays import PathLike
 from stereokit.data.disparity_png import is_grey, read_kitti_png
 from stereokit.data.images import read_samples
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
 __all__ = ["is_validation_frame", "kitti2012", "kitti2015", "kitti_raw"]
 
 _SPLITS = ("training", "train", "val", "testing")
-_FRAME = re.compile(r"\d+_10(?=\.png$)")
+_FRAME = re.compile(r"\d+_10")
 _VIEWS = ("auto", "colour", "grey")
 
 
@@ -64,12 +73,13 @@ def kitti2012(root: PathLike, *, split: str = "training", views: str = "auto") -
         views = "colour" if (folder / "colored_0").is_dir() else "grey"
     left, right = pairs[views]
     cameras = ("2", "3") if views == "colour" else ("0", "1")
-    frames = _reference_frames(folder / left, folder / right, split)
+    lefts, rights = images_by_stem(folder / left), images_by_stem(folder / right)
+    frames = _reference_frames({*lefts, *rights}, split)
     entries = [
         StereoEntry(
             name=frame,
-            left=folder / left / f"{frame}.png",
-            right=folder / right / f"{frame}.png",
+            left=lefts.get(frame, folder / left / f"{frame}.png"),
+            right=rights.get(frame, folder / right / f"{frame}.png"),
             disparity=Source.within(folder / "disp_occ", f"{frame}.png", read_kitti_png),
             nonocc=Source.within(folder / "disp_noc", f"{frame}.png", _read_nonocc),
             calibration=Source.within(
@@ -100,12 +110,13 @@ def kitti2015(root: PathLike, *, split: str = "training") -> StereoDataset:
     """
     root = Path(root)
     folder = _part(root, split, "data_scene_flow")
-    frames = _reference_frames(folder / "image_2", folder / "image_3", split)
+    lefts, rights = images_by_stem(folder / "image_2"), images_by_stem(folder / "image_3")
+    frames = _reference_frames({*lefts, *rights}, split)
     entries = [
         StereoEntry(
             name=frame,
-            left=folder / "image_2" / f"{frame}.png",
-            right=folder / "image_3" / f"{frame}.png",
+            left=lefts.get(frame, folder / "image_2" / f"{frame}.png"),
+            right=rights.get(frame, folder / "image_3" / f"{frame}.png"),
             disparity=Source.within(folder / "disp_occ_0", f"{frame}.png", read_kitti_png),
             nonocc=Source.within(folder / "disp_noc_0", f"{frame}.png", _read_nonocc),
             objects=Source.within(folder / "obj_map", f"{frame}.png", _read_objects),
@@ -162,9 +173,9 @@ def _part(root: Path, split: str, archive: str) -> Path:
     return first_folder([root / part, root / archive / part]) or root / part
 
 
-def _reference_frames(left: Path, right: Path, split: str) -> dict[str, list[str]]:
+def _reference_frames(stems: Set[str], split: str) -> dict[str, list[str]]:
     """The frames that can have ground truth, *_10, by split; the others belong to the flow benchmarks."""
-    frames = [match[0] for name in image_names(left, right) if (match := _FRAME.match(name))]
+    frames = sorted(stem for stem in stems if _FRAME.fullmatch(stem))
     if split == "testing":
         return {"testing": frames}
     parts: dict[str, list[str]] = {"training": frames, "train": [], "val": []}
@@ -185,5 +196,5 @@ def _read_nonocc(path: Path) -> Mask:
 def _read_objects(path: Path) -> npt.NDArray[np.uint8]:
     samples = read_samples(path)
     if samples.dtype != np.uint8 or not is_grey(samples):
-        raise InputError(f"{os.fspath(path)!r}: expected an object map, an 8-bit grey PNG")
+        raise InputError(f"{printable(path)}: expected an object map, an 8-bit grey PNG")
     return samples if samples.ndim == 2 else samples[:, :, 0]

@@ -1,21 +1,23 @@
 """How the data sets find their files, and what they say where they find others."""
 
-import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry
 from stereokit.data.images import IMAGE_SUFFIXES
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
 __all__ = [
     "NoPairs",
     "check_choice",
     "check_number",
     "first_folder",
+    "folders_below",
     "image_names",
+    "images_by_stem",
     "images_in",
+    "is_visible",
     "list_folder",
     "make_dataset",
 ]
@@ -48,9 +50,27 @@ def list_folder(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
 
 
+def folders_below(root: Path, depth: int) -> list[Path]:
+    """A folder and the visible ones below it, down to so many levels; nothing where it is none."""
+    if not root.is_dir():
+        return []
+    below = [path for path in list_folder(root) if path.is_dir()] if depth else []
+    return [root, *(folder for path in below for folder in folders_below(path, depth - 1))]
+
+
 def images_in(folder: Path) -> list[Path]:
     """The image files in a folder, sorted by name."""
     return [path for path in list_folder(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
+
+
+def images_by_stem(folder: Path) -> dict[str, Path]:
+    """The image files in a folder by their name without suffix; of several the last one by name."""
+    return {path.stem: path for path in images_in(folder)}
+
+
+def is_visible(path: Path, root: Path) -> bool:
+    """Whether no part of the path below the root is hidden, as the `._` files of macOS are."""
+    return not any(part.startswith(".") for part in path.relative_to(root).parts)
 
 
 def image_names(left: Path, right: Path) -> list[str]:
@@ -67,7 +87,7 @@ def check_number(what: str, given: float | str) -> float:
     try:
         return float(given)
     except ValueError:
-        raise InputError(f"{what} must be a number, got {given!r}") from None
+        raise InputError(f"{what} must be a number, got {printable(str(given), most=40)}") from None
 
 
 def make_dataset(
@@ -79,6 +99,7 @@ def make_dataset(
     expected: Sequence[str],
     filled: Sequence[str] = (),
     passed_over: Sequence[str] = (),
+    unused_truth: Sequence[str] = (),
 ) -> StereoDataset:
     """The data set of these entries.
 
@@ -90,6 +111,7 @@ def make_dataset(
         expected: files of the kind, for the message where none were found.
         filled: the splits that have pairs in the same files, where the kind shares them out by rule.
         passed_over: see `StereoDataset`.
+        unused_truth: see `StereoDataset`.
 
     Raises:
         NoPairs: there are none, and the message shows the tree that was expected and the one that was found.
@@ -97,18 +119,18 @@ def make_dataset(
     """
     if not entries and filled:
         raise InputError(
-            f"split {split!r} of {kind} is empty in {os.fspath(root)!r}; the pairs there are of split "
+            f"split {split!r} of {kind} is empty in {printable(root)}; the pairs there are of split "
             f"{' or '.join(map(repr, filled))}"
         )
     if not entries:
         raise NoPairs(
-            f"no pairs of {kind}, split {split!r}, in {os.fspath(root)!r}: "
+            f"no pairs of {kind}, split {split!r}, in {printable(root)}: "
             f"expected {' or '.join(expected)}; found {_describe(root)}"
         )
     name, count = Counter(entry.name for entry in entries).most_common(1)[0]
     if count > 1:
-        raise InputError(f"{count} pairs of {kind} in {os.fspath(root)!r} have the name {name!r}; expected one")
-    return StereoDataset(kind, root, split, entries, passed_over=passed_over)
+        raise InputError(f"{count} pairs of {kind} in {printable(root)} have the name {printable(name)}; expected one")
+    return StereoDataset(kind, root, split, entries, passed_over=passed_over, unused_truth=unused_truth)
 
 
 def _describe(root: Path) -> str:
@@ -116,6 +138,6 @@ def _describe(root: Path) -> str:
         return "nothing, it does not exist"
     if not root.is_dir():
         return "a file"
-    names = [path.name + "/" * path.is_dir() for path in list_folder(root)]
-    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
-    return ", ".join(names[:8]) + more if names else "an empty folder"
+    names = [printable(path.name, most=40)[1:-1] + "/" * path.is_dir() for path in list_folder(root)]
+    names, left_out = names[:6], len(names[6:])
+    return ", ".join(names) + (f" and {left_out} more" if left_out else "") if names else "an empty folder"

@@ -5,20 +5,27 @@ as they are published (`middlebury2014`), and the older scenes of 2001 to 2006 w
 (`middlebury_older`).
 """
 
-import os
 from functools import partial
 from pathlib import Path
 
 from stereokit.calibration.formats.middlebury import read_middlebury_calibration
 from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDataset, StereoEntry
-from stereokit.data.datasets.layout import check_choice, check_number, images_in, list_folder, make_dataset
+from stereokit.data.datasets.layout import (
+    check_choice,
+    check_number,
+    first_folder,
+    folders_below,
+    images_in,
+    list_folder,
+    make_dataset,
+)
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_png import read_scaled_png
 from stereokit.data.images import read_file_bytes, read_image_size, read_samples
 from stereokit.data.pfm import read_pfm
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
-__all__ = ["middlebury2014", "middlebury_older", "middlebury_v3", "read_nonocc_mask"]
+__all__ = ["middlebury2014", "middlebury2021", "middlebury_older", "middlebury_v3", "read_nonocc_mask"]
 
 _RESOLUTIONS = ("F", "H", "Q")
 
@@ -94,6 +101,31 @@ def middlebury2014(root: PathLike, *, split: str = "all") -> StereoDataset:
     return make_dataset("middlebury2014", root, split, entries, expected=["Adirondack-perfect/im0.png"])
 
 
+@DATASETS.register("middlebury2021")
+def middlebury2021(root: PathLike, *, split: str = "all") -> StereoDataset:
+    """Middlebury's scenes of 2021, taken with a mobile phone: 24 pairs, full size, `disp0.pfm` and `disp1.pfm`.
+
+    The pictures are `im0.png` and `im1.png`; those of other exposures and lights, which lie beside them, are not read.
+
+    Args:
+        root: holds the scenes' folders, such as `artroom1/im0.png`, or a folder `data` that does.
+        split: "all".
+
+    Raises:
+        InputError: another tree, or an unknown split.
+
+    Source: https://vision.middlebury.edu/stereo/data/scenes2021/.
+    """
+    root = Path(root)
+    check_choice("split", split, ("all",))
+    entries = [
+        _entry(scene, scene.name, "disp0.pfm", required=False)
+        for scene in list_folder(first_folder([root / "data"]) or root)
+        if (scene / "im0.png").is_file() or (scene / "im1.png").is_file()
+    ]
+    return make_dataset("middlebury2021", root, split, entries, expected=["artroom1/im0.png"])
+
+
 @DATASETS.register("middlebury_older")
 def middlebury_older(root: PathLike, *, split: str = "all", scale: float | None = None) -> StereoDataset:
     """Middlebury's scenes of 2001, 2003, 2005 and 2006, and those of the second evaluation, in 8-bit
@@ -117,11 +149,7 @@ def middlebury_older(root: PathLike, *, split: str = "all", scale: float | None 
     root = Path(root)
     check_choice("split", split, ("all",))
     factor = None if scale is None else check_number("scale", scale)
-    folders = [
-        root,
-        *(path for pattern in ("*", "*/*", "*/*/*") for path in sorted(root.glob(pattern)) if path.is_dir()),
-    ]
-    found = {folder: _older_entry(root, folder, factor) for folder in folders}
+    found = {folder: _older_entry(root, folder, factor) for folder in folders_below(root, 3)}
     entries = [entry for entry in found.values() if entry]
     passed_over = [
         folder.relative_to(root).as_posix() for folder, entry in found.items() if not entry and images_in(folder)
@@ -188,7 +216,7 @@ def _published_scale(truth: Path, left: Path) -> float:
         words = read_file_bytes(info, 1024).split()
         if words and words[0].isdigit() and int(words[0]) > 0:
             return float(words[0])
-        raise InputError(f"{os.fspath(info)!r}: expected the scale of the disparity in its first line")
+        raise InputError(f"{printable(info)}: expected the scale of the disparity in its first line")
     scene = truth.parent.name.lower()
     width, _ = read_image_size(left)
     if truth.stem == "disp1":
@@ -198,6 +226,6 @@ def _published_scale(truth: Path, left: Path) -> float:
     if scene in _SCALES_2001:
         return _SCALES_2001[scene]
     raise InputError(
-        f"{os.fspath(truth)!r} does not say by how much its disparity was scaled, and the scene {scene!r} is "
+        f"{printable(truth)} does not say by how much its disparity was scaled, and the scene {scene!r} is "
         "not one of the published ones; give scale=, the stored value of one pixel of disparity"
     )

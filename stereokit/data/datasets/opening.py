@@ -1,11 +1,12 @@
 """A data set by its name and place."""
 
 import os
+import warnings
 from typing import Any
 
 from stereokit.data.datasets.dataset import DATASETS, StereoDataset
 from stereokit.data.datasets.layout import NoPairs
-from stereokit.errors import InputError, StereoKitError
+from stereokit.errors import InputError, StereoKitError, printable
 
 __all__ = ["open_dataset"]
 
@@ -39,14 +40,14 @@ def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = F
     head, colon, root = spec.partition(":")
     if not (colon and head and root):
         raise InputError(
-            f"{spec!r} names no data set; expected KIND:ROOT, with KIND one of {', '.join(DATASETS.names())}"
+            f"{printable(spec)} names no data set; expected KIND:ROOT, with KIND one of {', '.join(DATASETS.names())}"
         )
     kind, *words = head.split(",")
     kind, slash, given_split = kind.partition("/")
     for word in words:
         key, equals, value = word.partition("=")
         if not equals:
-            raise InputError(f"{spec!r}: expected an option as NAME=VALUE, got {word!r}")
+            raise InputError(f"{printable(spec)}: expected an option as NAME=VALUE, got {printable(word, most=40)}")
         options[key] = value
     if slash or split is not None:
         options["split"] = given_split if slash else split
@@ -61,14 +62,16 @@ def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = F
     if missing:
         base = dataset.root if dataset.root.is_dir() else dataset.root.parent
         raise InputError(
-            f"{kind} in {root!r} is not whole: {len(missing)} of its files are missing, "
-            f"the first is {os.path.relpath(missing[0], base)!r}"
+            f"{kind} in {printable(root)} is not whole: {len(missing)} of its files are missing, "
+            f"the first is {printable(os.path.relpath(missing[0], base))}"
         )
     return dataset
 
 
 def _opens(kind: str, root: str) -> bool:
-    try:
-        return bool(DATASETS.build(kind, {"root": root}))
-    except StereoKitError:
-        return False
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return bool(DATASETS.build(kind, {"root": root}))
+        except StereoKitError:
+            return False

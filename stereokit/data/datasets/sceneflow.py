@@ -9,7 +9,6 @@ folder or below folders in it named after the three parts:
 - `left`, `right` and `disparity/left` alone (as in the sample packs), which have no passes and no splits.
 """
 
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeAlias, TypeVar
@@ -21,13 +20,14 @@ from stereokit.data.datasets.layout import (
     check_choice,
     first_folder,
     image_names,
+    is_visible,
     list_folder,
     make_dataset,
 )
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.images import read_samples
 from stereokit.data.pfm import read_pfm
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
 __all__ = ["read_sceneflow_disparity", "sceneflow"]
 
@@ -96,7 +96,7 @@ def read_sceneflow_disparity(path: PathLike) -> Disparity:
     if not (disparity < 0).any():
         return disparity
     if (disparity > 0).any():
-        raise InputError(f"{os.fspath(path)!r} holds disparity of both signs; expected one sign throughout")
+        raise InputError(f"{printable(path)} holds disparity of both signs; expected one sign throughout")
     return -disparity
 
 
@@ -108,6 +108,8 @@ def _frames(root: Path, base: Path, image_pass: str) -> Iterator[_Found]:
         if frames is None:
             continue
         for left in sorted((*frames.glob("*/left"), *frames.glob("*/*/*/left"))):
+            if not is_visible(left, frames):
+                continue
             place = left.relative_to(frames).parent
             part, split = _part_and_split(place.parts[0])
             for entry in _entries(root, left.parent, truths / place / "left" if truths else None):

@@ -8,7 +8,7 @@ from stereokit.data.datasets.layout import check_choice, first_folder, image_nam
 from stereokit.data.disparity_arrays import PathLike
 from stereokit.data.disparity_png import read_sintel_png
 from stereokit.data.images import read_samples
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
 __all__ = ["sintel"]
 
@@ -58,7 +58,7 @@ def sintel(root: PathLike, *, split: str = "training", image_pass: str = "final"
 def _read_nonocc(path: Path, *, outside: Path) -> Mask:
     occluded, out_of_frame = (_read_set(mask) for mask in (path, outside))
     if occluded.shape != out_of_frame.shape:
-        raise InputError(f"{path} and {outside} are of different sizes; expected one")
+        raise InputError(f"{printable(path)} and {printable(outside)} are of different sizes; expected one")
     return ~(occluded | out_of_frame)
 
 

@@ -41,7 +41,7 @@ def layered(seed=0, height=32, width=48, floating=False, depths=(3, 6, 9), both=
     right_nonocc &= np.take_along_axis(disparity, np.minimum(match, width - 1), 1) == seen_right
     if floating:
         left, right = (view.astype(np.float32) / 255 for view in (left, right))
-    pair = StereoSample("layered", left, right, disparity, nonocc, objects, CAMERA)
+    pair = StereoSample("layered", left, right, disparity, nonocc, objects, replace(CAMERA, width=width, height=height))
     return replace(pair, right_disparity=seen_right, right_nonocc=right_nonocc) if both else pair
 
 

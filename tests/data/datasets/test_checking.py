@@ -1,3 +1,5 @@
+import os
+
 import numpy as np
 
 from stereokit.data.datasets import check_dataset, format_report, open_dataset
@@ -86,3 +88,25 @@ def test_progress_sees_every_pair(tmp_path):
 
     check_dataset(open_dataset(f"kitti2012:{tmp_path}"), progress=watch)
     assert len(seen) == 3
+
+
+def test_what_is_odd_is_counted(tmp_path):
+    for number in range(2):
+        trees.save(tmp_path / "left" / f"{number}.png", trees.picture(shape=(40, 40)))
+        trees.save(tmp_path / "right" / f"{number}.png", np.full((40, 40), 4095, np.uint16))
+        trees.save(tmp_path / "disparity" / f"{number}.pfm", np.where(np.eye(40), 16, 160).astype(np.float32))
+    report = check_dataset(open_dataset(f"folder:{tmp_path}"))
+    assert set(report.warnings.values()) == {2}
+    text = format_report(report)
+    for part in ("need 12 bits only", "one image of a pair has 8 bits", "all disparities are multiples of 16"):
+        assert part in text
+    assert "(2 pairs)" in text
+
+
+def test_names_in_a_report_are_printable(tmp_path):
+    name = os.fsdecode(b"a\x1b[31m\xff")
+    trees.save_pair(tmp_path / "left" / f"{name}.png", tmp_path / "right" / f"{name}.png")
+    (tmp_path / "left" / f"{name}.png").write_bytes(b"no picture")
+    text = format_report(check_dataset(open_dataset(f"folder:{tmp_path}")))
+    text.encode()
+    assert text.replace("\n", "").isprintable()

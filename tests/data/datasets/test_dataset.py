@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from torch.utils.data import DataLoader
 
+from stereokit.calibration import Calibration
 from stereokit.data.datasets import StereoSample
 from stereokit.data.datasets.kitti import kitti2012
 from stereokit.errors import InputError
@@ -59,3 +60,23 @@ def test_the_parts_are_of_one_size(part):
     parts[part] = parts[part][:, :3]
     with pytest.raises(InputError, match=r"pair 'a': the .* is 3 x 2 pixels, the left image 4 x 2"):
         StereoSample("a", left, **parts)
+
+
+def test_the_calibration_is_of_the_size_of_the_images():
+    left = np.zeros((2, 4, 3), np.uint8)
+    for size in ((4, 2), (None, None), (4, None)):
+        camera = Calibration(700, 0.1, 2, 2, *size)
+        assert StereoSample("a", left, left, calibration=camera).calibration == camera
+    with pytest.raises(InputError, match=r"the calibration is of images of 8 x 4 pixels, the left image is 4 x 2"):
+        StereoSample("a", left, left, calibration=Calibration(700, 0.1, 2, 2, 8, 4))
+
+
+def test_maps_have_one_channel_and_images_three():
+    left = np.zeros((2, 4, 3), np.uint8)
+    with pytest.raises(InputError, match=r"the ground truth has shape \(2, 4, 3\); expected \(H, W\)"):
+        StereoSample("a", left, left, np.zeros((2, 4, 3), np.float32))
+    for wrong in (left[..., 0], left[..., :2], left[:0]):
+        with pytest.raises(InputError, match=r"expected \(H, W, 3\)"):
+            StereoSample("a", wrong, left)
+        with pytest.raises(InputError, match=r"expected \(H, W, 3\)"):
+            StereoSample("a", left, wrong)

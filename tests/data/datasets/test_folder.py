@@ -1,7 +1,11 @@
+import contextlib
+import warnings
+
 import numpy as np
 import pytest
 
 from stereokit.data import write_disparity
+from stereokit.data.datasets import check_dataset, format_report
 from stereokit.data.datasets.folder import folder
 from stereokit.errors import InputError
 from tests.data.datasets import trees
@@ -38,13 +42,15 @@ def test_folder_of_scenes(tmp_path, suffix):
     for seed, name in enumerate(("kitchen", "garden")):
         trees.save_pair(tmp_path / name / "left.ppm", tmp_path / name / "right.ppm", seed)
     write_disparity(tmp_path / "kitchen" / f"disparity{suffix}", trees.DISPARITY)
+    warned = pytest.warns(UserWarning, match="taken to hold 256") if suffix == ".png" else contextlib.nullcontext()
     trees.save(tmp_path / "garden" / "calib.txt", trees.CALIB_TXT)
     dataset = folder(tmp_path)
-    assert [sample.name for sample in dataset] == ["garden", "kitchen"]
+    assert [entry.name for entry in dataset.entries] == ["garden", "kitchen"]
     trees.assert_pair(dataset[0], 1)
-    trees.assert_truth(dataset[1])
+    with warned:
+        trees.assert_truth(dataset[1])
     assert dataset[0].calibration is not None
-    assert [sample.name for sample in folder(tmp_path / "kitchen")] == ["kitchen"]
+    assert [entry.name for entry in folder(tmp_path / "kitchen").entries] == ["kitchen"]
     (tmp_path / "garden" / "right.ppm").unlink()
     assert [path.name for path in folder(tmp_path).missing_files()] == ["right.png"]
 
@@ -91,6 +97,73 @@ def test_list_file(tmp_path):
     assert (dataset[3].disparity == 5).all()
 
 
+NAMES = ["a/left.png", "a/right.png", "a/d.pfm"]
+
+
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        (" ".join(NAMES), NAMES),
+        (",".join(NAMES), NAMES),
+        (", ".join(NAMES), NAMES),
+        ("\t".join(NAMES), NAMES),
+        (" ".join(NAMES).replace("/", "\\"), NAMES),
+        ("my\\ data/left.png 'my data/right.png' \"my data/d.pfm\"", [f"my data/{name[2:]}" for name in NAMES]),
+        ("my data/left.png,my data/right.png,my data/d.pfm", [f"my data/{name[2:]}" for name in NAMES]),
+        ("seq#3/left.png seq#3/right.png seq#3/d.pfm # third", [f"seq#3/{name[2:]}" for name in NAMES]),
+        ('\\#4/left.png "#4/right.png" \\#4/d.pfm', [f"#4/{name[2:]}" for name in NAMES]),
+        ("it's/left.png it's/right.png it's/d.pfm", [f"it's/{name[2:]}" for name in NAMES]),
+        ("x=1/left.png x=1/right.png x=1/d.pfm name='the pair'", [f"x=1/{name[2:]}" for name in NAMES]),
+        ("1,2/left.png 1,2/right.png 1,2/d.pfm", [f"1,2/{name[2:]}" for name in NAMES]),
+    ],
+)
+def test_names_in_a_list(tmp_path, line, names):
+    trees.save_pair(tmp_path / names[0], tmp_path / names[1])
+    trees.save(tmp_path / names[2], trees.DISPARITY)
+    trees.save(tmp_path / "pairs.txt", f"# comment\n{line}\n")
+    (sample,) = folder(tmp_path / "pairs.txt")
+    trees.assert_pair(sample)
+    trees.assert_truth(sample)
+    assert sample.name == ("the pair" if "the pair" in line else names[0][:-4])
+
+
+def test_hidden_files_are_not_looked_at(tmp_path):
+    trees.save_pair(tmp_path / "left" / "a.png", tmp_path / "right" / "a.png")
+    for name in ("left/._a.png", "right/._b.png", "left/.DS_Store"):
+        (tmp_path / name).write_bytes(b"\0\5\x16\7")
+    assert [sample.name for sample in folder(tmp_path)] == ["a"]
+
+
+@pytest.mark.parametrize("scenes", [True, False])
+def test_truth_of_another_name_is_not_passed_over_in_silence(tmp_path, scenes):
+    for name in ("000000", "000001"):
+        left, right = (f"{name}/left.png", f"{name}/right.png") if scenes else (f"left/{name}.png", f"right/{name}.png")
+        trees.save_pair(tmp_path / left, tmp_path / right)
+        trees.save(tmp_path / (f"{name}/left_disp.png" if scenes else f"disp_gt/{name}.png"), trees.stored(100))
+    with pytest.warns(UserWarning, match="what looks like ground truth is not read: '(000000/left_disp.png|disp_gt)'"):
+        dataset = folder(tmp_path)
+    assert dataset.unused_truth == (("000000/left_disp.png", "000001/left_disp.png") if scenes else ("disp_gt",))
+    assert "looks like ground truth, but is not named" in format_report(check_dataset(dataset))
+
+
+def test_the_assumed_scale_is_named(tmp_path):
+    trees.save_pair(tmp_path / "a/left.png", tmp_path / "a/right.png")
+    trees.save(tmp_path / "a/disparity.png", trees.stored(100))
+    with pytest.warns(UserWarning, match=r"taken to hold 256 for a pixel .* say so \(scale=256\)"):
+        sample = folder(tmp_path)[0]
+    assert sample.assumed_scale == 256
+    trees.save(tmp_path / "pairs.txt", "a/left.png a/right.png a/disparity.png\na/left.png a/right.png name=b")
+    report = check_dataset(folder(tmp_path / "pairs.txt"))
+    assert report.assumed_scales == {256: 1}
+    assert "scale assumed     256 for a pixel of disparity, in 1 pair" in format_report(report)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sample = folder(tmp_path, scale=100)[0]
+        assert folder(tmp_path, encoding="kitti")[0].assumed_scale is None
+    trees.assert_truth(sample)
+    assert sample.assumed_scale is None
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -98,7 +171,7 @@ def test_list_file(tmp_path):
         ("l.png r.png d.pfm e.pfm", "got 4 files"),
         ("l.png r.png scal=8", "line 2: unknown 'scal'; did you mean 'scale'"),
         ("l.png r.png d.png scale=x", "line 2: scale must be a number, got 'x'"),
-        ("l.png 'r.png", "line 2: No closing quotation"),
+        ("l.png 'r.png", "line 2: the quotation mark ' is not closed"),
         ("l.png r.png\nl.png r.png", "2 pairs of folder in .* have the name 'l'"),
         ("", "no pairs of folder"),
     ],

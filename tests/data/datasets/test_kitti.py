@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from stereokit.data import open_dataset, read_image, write_image
 from stereokit.data.datasets.kitti import is_validation_frame, kitti2012, kitti2015, kitti_raw
 from stereokit.errors import InputError
 from tests.data.datasets import trees
@@ -132,3 +133,20 @@ def test_real_kitti2012():
         assert np.isfinite(sample.disparity)[sample.nonocc].all()
         assert sample.calibration.baseline == pytest.approx(0.537, abs=0.001)
     assert len(kitti2012(SHARED / "data" / "real" / "kitti2012", split="train")) == 2
+
+
+@pytest.mark.parametrize("kind", ["kitti2012", "kitti2015"])
+def test_images_may_be_jpeg_and_frames_11_have_no_truth(tmp_path, kind):
+    getattr(trees, kind)(tmp_path)
+    folders = ("image_0", "image_1") if kind == "kitti2012" else ("image_2", "image_3")
+    for view in folders:
+        if kind == "kitti2015":
+            trees.save(tmp_path / "training" / view / "000000_11.png", trees.picture())
+        image = read_image(tmp_path / "training" / view / "000000_10.png")
+        (tmp_path / "training" / view / "000000_10.png").unlink()
+        write_image(tmp_path / "training" / view / "000000_10.jpg", image)
+        (tmp_path / "training" / view / "._000000_10.jpg").write_bytes(b"\0\5\x16\7")
+    dataset = open_dataset(f"{kind}:{tmp_path}")
+    assert [entry.name for entry in dataset.entries] == ["000000_10", "000001_10"]
+    assert [entry.left.suffix for entry in dataset.entries] == [".jpg", ".png"]
+    trees.assert_truth(dataset[0])

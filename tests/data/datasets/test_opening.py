@@ -7,8 +7,9 @@ from tests.data.datasets import trees
 
 def test_kinds():
     assert DATASETS.names() == [
-        "drivingstereo", "eth3d", "folder", "kitti2012", "kitti2015", "kitti_raw", "middlebury2014",
-        "middlebury_older", "middlebury_v3", "sceneflow", "sintel",
+        "booster", "crestereo", "drivingstereo", "eth3d", "folder", "instereo2k", "kitti2012", "kitti2015", "kitti_raw",
+        "middlebury2014", "middlebury2021", "middlebury_older", "middlebury_v3", "sceneflow", "sintel", "spring",
+        "tartanair", "virtual_kitti2",
     ]  # fmt: skip
 
 
@@ -32,7 +33,7 @@ def test_a_place_with_a_colon(tmp_path):
         (
             "kitti2012",
             InputError,
-            "names no data set; expected KIND:ROOT, with KIND one of drivingstereo, eth3d",
+            "names no data set; expected KIND:ROOT, with KIND one of booster, crestereo",
         ),
         ("kitti2012:", InputError, "names no data set"),
         (":/data", InputError, "names no data set"),

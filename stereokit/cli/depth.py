@@ -1,0 +1,164 @@
+"""Depth and point clouds beside the disparity of `stereokit predict`."""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from stereokit.calibration import Calibration, read_calibration
+from stereokit.cameras.cloud import CLOUD_SUFFIXES, Axes, Holes
+from stereokit.cameras.consistency import occluded, right_disparity
+from stereokit.cameras.depth import DEPTH_SUFFIXES, fill_background, write_depth
+from stereokit.data.inputs import to_pair
+from stereokit.data.pairs import ImagePair
+from stereokit.errors import ConfigError
+from stereokit.inference import DisparityResult, Predictor
+
+__all__ = ["DepthFiles", "add_depth_options"]
+
+OF_CLOUDS = ("axes", "edge_filter")
+OF_BOTH = ("min_confidence", "max_depth", "holes", "left_right")
+
+
+def add_depth_options(parser: argparse.ArgumentParser) -> None:
+    """What turns disparity into metres."""
+    group = parser.add_argument_group("depth", "in metres, from disparity and the cameras' calibration")
+    group.add_argument("--calibration", metavar="FILE", help="of the cameras of all pairs, in any format that is known")
+    group.add_argument(
+        "--depth",
+        nargs="?",
+        const="png",
+        choices=[suffix.removeprefix(".") for suffix in DEPTH_SUFFIXES],
+        help="write depth too: png holds millimetres, the others metres (default: png)",
+    )
+    group.add_argument(
+        "--cloud",
+        nargs="?",
+        const="ply",
+        choices=[suffix.removeprefix(".") for suffix in CLOUD_SUFFIXES],
+        help="write a coloured point cloud too (default: ply)",
+    )
+    group.add_argument(
+        "--axes", choices=get_args(Axes), help="of the cloud (default: opencv, x right, y down, z forward)"
+    )
+    group.add_argument("--min-confidence", type=float, help="leave out pixels of less, from 0 to 1")
+    group.add_argument("--max-depth", type=float, help="leave out what is farther, in metres")
+    group.add_argument(
+        "--edge-filter", type=float, metavar="PX", help="leave out points that fly between surfaces; 1 is a good value"
+    )
+    group.add_argument(
+        "--holes", choices=get_args(Holes), help="leave them (default), or fill them from the background"
+    )
+    group.add_argument(
+        "--left-right",
+        action="store_true",
+        default=None,
+        help="match the right view too, and leave out what it does not see; takes twice the time",
+    )
+
+
+@dataclass(frozen=True)
+class DepthFiles:
+    """Writes depth and cloud of a pair, as the options say.
+
+    Args:
+        options: of `add_depth_options`.
+        calibration: None where neither is asked for.
+    """
+
+    options: argparse.Namespace
+    calibration: Calibration | None
+
+    @classmethod
+    def of(cls, options: argparse.Namespace) -> "DepthFiles":
+        """Checks the options, and reads the calibration.
+
+        Raises:
+            ConfigError: options that have no effect, or no calibration.
+            InputError: a calibration that can't be read.
+        """
+        wanted = options.depth is not None or options.cloud is not None
+        given = [name for name in (*OF_BOTH, *OF_CLOUDS, "calibration") if getattr(options, name) is not None]
+        if given and not wanted:
+            raise ConfigError(f"{_flag(given[0])} has no effect without --depth or --cloud; leave it out, or add one")
+        of_clouds = [name for name in OF_CLOUDS if getattr(options, name) is not None]
+        if of_clouds and options.cloud is None:
+            raise ConfigError(f"{_flag(of_clouds[0])} has no effect without --cloud; leave it out, or add it")
+        if wanted and options.calibration is None:
+            raise ConfigError("metres need the cameras' calibration: give --calibration FILE")
+        return cls(options, read_calibration(options.calibration) if wanted else None)
+
+    def paths(self, name: str) -> list[Path]:
+        """The files of a pair."""
+        kinds = (("depth", self.options.depth), ("cloud", self.options.cloud))
+        return [Path(self.options.out) / f"{name}_{kind}.{suffix}" for kind, suffix in kinds if suffix is not None]
+
+    def write(self, result: DisparityResult, pair: ImagePair, predictor: Predictor) -> list[str]:
+        """Writes the files; gives lines that say so.
+
+        Raises:
+            InputError: a calibration of another size, or files that can't be written.
+        """
+        if self.calibration is None:
+            return []
+        self.calibration.check_size(*result.size)
+        views = [view[0].permute(1, 2, 0).numpy() for view in to_pair(pair.left, pair.right)]
+        valid = None
+        if self.options.left_right:
+            valid = ~occluded(result.disparity, right_disparity(_match(predictor), views[0], views[1]))
+        lines = []
+        for path in self.paths(pair.name):
+            if path.stem.endswith("_cloud"):
+                lines.append(self._write_cloud(path, result, views[0], valid))
+            else:
+                lines.append(self._write_depth(path, result, valid))
+        return lines
+
+    def _write_depth(self, path: Path, result: DisparityResult, valid: npt.NDArray[np.bool_] | None) -> str:
+        options = self.options
+        assert self.calibration is not None
+        if options.holes == "background":
+            kept = result.trusted(min_confidence=options.min_confidence, valid=valid)
+            filled = fill_background(np.where(kept, result.disparity, np.nan))
+            result, valid = DisparityResult(filled, None, result.seconds), None
+            depth = result.depth(self.calibration, max_depth=options.max_depth)
+        else:
+            depth = result.depth(
+                self.calibration, min_confidence=options.min_confidence, valid=valid, max_depth=options.max_depth
+            )
+        beyond = write_depth(path, depth, overwrite=options.overwrite)
+        known = depth[np.isfinite(depth)]
+        reach = (
+            f"{known.min():.2f} to {known.max():.2f} m, median {np.median(known):.2f} m" if known.size else "nothing"
+        )
+        lost = f"; {beyond} pixels beyond 65.535 m are 0 in it" if beyond else ""
+        return f"depth of {100 * known.size / depth.size:.0f} % of the pixels: {reach}; wrote {path}{lost}"
+
+    def _write_cloud(
+        self, path: Path, result: DisparityResult, left: npt.NDArray[Any], valid: npt.NDArray[np.bool_] | None
+    ) -> str:
+        options = self.options
+        assert self.calibration is not None
+        chosen = {name: value for name in ("axes", "holes") if (value := getattr(options, name)) is not None}
+        cloud = result.point_cloud(
+            self.calibration,
+            left,
+            min_confidence=options.min_confidence,
+            valid=valid,
+            edge_filter=options.edge_filter,
+            max_depth=options.max_depth,
+            **chosen,
+        )
+        cloud.write(path, overwrite=options.overwrite)
+        return f"{len(cloud):,} points; wrote {path}"
+
+
+def _match(predictor: Predictor) -> Any:
+    return lambda left, right: predictor(left, right).disparity
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"

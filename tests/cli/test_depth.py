@@ -1,0 +1,79 @@
+import cv2
+import numpy as np
+import pytest
+
+from stereokit.calibration import Calibration, write_calibration
+from stereokit.cli import main
+from stereokit.data import read_pfm, write_image
+from stereokit.data.synthetic import SyntheticScenes
+
+SIZE = (96, 160)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scene")
+    pair = SyntheticScenes(seed=1, size=SIZE, max_disparity=20, photometric=0)[0]
+    for name in ("left", "right"):
+        write_image(folder / f"{name}.png", getattr(pair, name))
+    camera = Calibration(fx=200.0, baseline=0.1, cx0=80.0, cx1=80.0, cy=48.0, height=SIZE[0], width=SIZE[1])
+    write_calibration(folder / "camera.json", camera)
+    return folder
+
+
+def predict(scene, tmp_path, *options):
+    views = [str(scene / f"{name}.png") for name in ("left", "right")]
+    return main(["predict", *views, "--out", str(tmp_path / "out"), *options])
+
+
+def read_millimetres(tmp_path):
+    return cv2.imread(str(tmp_path / "out" / "left_depth.png"), cv2.IMREAD_UNCHANGED)
+
+
+def test_depth_is_that_of_the_disparity(scene, tmp_path, capsys):
+    options = ("--calibration", str(scene / "camera.json"), "--depth", "npy", "--cloud", "--axes", "ros")
+    assert predict(scene, tmp_path, *options) == 0
+    said = capsys.readouterr().out
+    assert "m, median" in said
+    assert "points; wrote" in said
+    depth = np.load(tmp_path / "out" / "left_depth.npy")
+    disparity = read_pfm(tmp_path / "out" / "left_disparity.pfm")
+    known = disparity > 0
+    np.testing.assert_allclose(depth[known], 20.0 / disparity[known], rtol=1e-5)
+    assert (tmp_path / "out" / "left_cloud.ply").stat().st_size > 1000
+
+
+def test_millimetres_and_filters(scene, tmp_path):
+    options = ("--calibration", str(scene / "camera.json"), "--depth", "--min-confidence", "0.5", "--max-depth", "5")
+    assert predict(scene, tmp_path, *options, "--left-right") == 0
+    depth = read_millimetres(tmp_path)
+    assert depth.dtype == np.uint16
+    assert 0 < (depth > 0).mean() < 1
+    assert depth.max() <= 5000
+    filled = predict(scene, tmp_path, *options, "--left-right", "--holes", "background", "--overwrite")
+    assert filled == 0
+    assert (read_millimetres(tmp_path) > 0).mean() >= (depth > 0).mean()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--max-depth", "5"), "--max-depth has no effect without --depth or --cloud"),
+        (("--depth", "--axes", "ros"), "--axes has no effect without --cloud"),
+        (("--depth",), "give --calibration FILE"),
+        (("--depth", "--calibration", "absent.json"), "absent.json"),
+    ],
+)
+def test_options_that_do_nothing_are_refused(scene, tmp_path, capsys, options, words):
+    assert predict(scene, tmp_path, *options) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_calibration_of_another_size_is_refused(scene, tmp_path, capsys):
+    camera = Calibration(fx=400.0, baseline=0.1, cx0=160.0, cx1=160.0, cy=96.0, height=192, width=320)
+    write_calibration(tmp_path / "other.json", camera)
+    assert predict(scene, tmp_path, "--calibration", str(tmp_path / "other.json"), "--depth") == 2
+    error = capsys.readouterr().err
+    assert "320 x 192" in error
+    assert "160 x 96" in error
