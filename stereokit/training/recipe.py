@@ -185,8 +185,8 @@ _SECTIONS: dict[str, type] = {
 def list_recipes() -> list[str]:
     """The recipes that come with the library.
 
-    >>> list_recipes()
-    ['kitti-finetune', 'psmnet-kitti', 'psmnet-sceneflow', 'sceneflow', 'synthetic', 'synthetic-finetune']
+    >>> "psmnet-sceneflow" in list_recipes()
+    True
     """
     return sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml"))
 
