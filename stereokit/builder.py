@@ -209,9 +209,13 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
 
 
 def _completed(component: Any, override: Any) -> Any:
-    """A choice without a name, which changes arguments of the recipe's own component, in full."""
+    """A choice with its name; a dict without one changes arguments of the recipe's own component."""
+    if not isinstance(component, Mapping):
+        return override
+    if isinstance(override, str):
+        return {"name": override}
     nameless = isinstance(override, Mapping) and not {"name", "instance"} & override.keys()
-    return {**component, **override} if nameless and isinstance(component, Mapping) else override
+    return {**component, **override} if nameless else override
 
 
 def _build_stage(
@@ -228,9 +232,11 @@ def _build_stage(
     stride = settings["stride"]
     check_stride(info, stride, backbone)
     slots = {slot: Choice(slot, settings[slot], default[slot], presets) for slot in STAGE_SLOTS if slot != "guidance"}
-    if slots["candidates"].plainly("uniform"):
+    if slots["candidates"].plainly("uniform", but_for="per_plane"):
         # now: blocks may fail on planes that are not whole
+        per_plane = slots["candidates"].arguments.get("per_plane", 1)
         step = stride * slots["aggregation"].attribute("planes_multiple", 1)
+        step *= per_plane if isinstance(per_plane, int) and per_plane > 0 else 1
         check_max_disparity(max_disparity, step, f"{backbone} (stride {stride}) and {slots['aggregation']}")
     candidates = slots["candidates"].build(max_disparity=max_disparity, stride=stride)
     cost = slots["cost"].build(in_channels=info.matching_channels[stride], planes=candidates.planes)
