@@ -23,7 +23,7 @@ from stereokit import (
     coex,
     list_models,
 )
-from stereokit.builder import compose
+from stereokit.compose import compose
 from stereokit.config import ModelConfig
 from stereokit.guidance import GuidancePoint, NoGuidance
 from stereokit.models.ablation import ABLATION
