@@ -133,7 +133,7 @@ def resample(values: Tensor, size: tuple[int, ...], *, batch: int) -> Tensor:
 
     >>> import torch
     >>> resample(torch.tensor([0.0, 4.0, 8.0, 12.0]), (2, 1, 1), batch=1).flatten()
-    tensor([2., 10.])
+    tensor([ 2., 10.])
     """
     if values.dim() == 1:
         values = values.reshape(1, -1, 1, 1).expand(batch, -1, 1, 1)

@@ -192,7 +192,7 @@ def test_unknown_models_are_answered_with_near_ones():
     with pytest.raises(ConfigError, match=r"unknown model 'psmnett'; did you mean 'psmnet'"):
         build_model("psmnett")
     for configuration in ({}, {"name": None}, {"cost": "correlation"}):
-        with pytest.raises(ConfigError, match=r"the name of its model, one of .*coex, gcnet"):
+        with pytest.raises(ConfigError, match=r"the name of its model, one of .*coex.*psmnet"):
             build_model(configuration)
 
 
@@ -274,7 +274,7 @@ def test_auxiliary_outputs_have_weights_wherever_they_come_from():
 
 
 @pytest.mark.parametrize("max_disparity", [32, 64, 96, 128, 256, 320])
-@pytest.mark.parametrize("name", list_models())
+@pytest.mark.parametrize("name", ["coex", "psmnet", "gcnet", "casstereo_psm", "stereonet_8x"])
 def test_other_ranges_of_disparity_rebuild(name, max_disparity):
     if max_disparity % (step := 64 if name.startswith("casstereo") else 32):
         with pytest.raises(ConfigError, match=f"not a positive multiple of {step}"):

@@ -178,6 +178,7 @@ def compare_compiled(name, backend):
         torch.compiler.reset()
 
 
+@pytest.mark.slow
 @every_model
 def test_compile_captures_one_graph_that_agrees(name):
     compare_compiled(name, "aot_eager")
@@ -190,6 +191,7 @@ def test_compiled_code_agrees(name):
     compare_compiled(name, "inductor")
 
 
+@pytest.mark.slow
 @every_model
 def test_export_agrees(name):
     model = build_model(name, max_disparity=32).eval()

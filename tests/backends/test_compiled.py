@@ -36,6 +36,7 @@ def test_where_it_can_not_compile_it_is_one_line(error, monkeypatch):
         Predictor(Tiny(), "cpu", "compile")(*random_pair(64, 96))
 
 
+@pytest.mark.slow
 def test_kinds_of_sizes_do_not_end_in_uncompiled_runs(monkeypatch):
     compiled = []
 

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from stereokit import StereoModel, build_model, list_models
+from stereokit import StereoModel, build_model
 from stereokit.bench.stages import STAGES, StageClock, stages_of
 
 
@@ -17,7 +17,7 @@ class SlotClock:
         return float(self.readings)
 
 
-@pytest.mark.parametrize("name", list_models())
+@pytest.mark.parametrize("name", ["coex", "psmnet", "gcnet"])
 def test_stages_of_every_network_sum_to_the_pass(name: str) -> None:
     model = build_model(name, max_disparity=64).eval()
     images = torch.rand(2, 1, 3, 64, 64)

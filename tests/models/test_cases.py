@@ -150,8 +150,8 @@ def test_what_is_prepared_for_inference_equals_it(name):
     model = settled(small(name), images)
     with torch.inference_mode():
         expected, given = model(*images).disparity, prepare_for_inference(model, example=images)(*images).disparity
-    # rounding decides between candidates that tie
-    assert ((given - expected).abs() < 0.01).float().mean() > 0.98
+    # rounding decides between candidates that tie, and random weights make it larger
+    assert ((given - expected).abs() < CASES[name].rounding).float().mean() > 0.98
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from stereokit import ConfigError, StereoOutput, build_model, list_models
+from stereokit import ConfigError, StereoOutput, build_model
 from stereokit.runtime.memory import available_memory, estimate_memory, format_memory, parse_memory
 from stereokit.runtime.memory.available import _container_available, _linux_available
 from stereokit.runtime.memory.estimate import HELD_BY_ALLOCATOR
@@ -32,7 +32,7 @@ def test_live_tensors_are_counted_and_dead_ones_are_not() -> None:
     assert estimate_memory(Doubling(), 40, 50, batch=3) == pytest.approx(3 * estimate_memory(Doubling(), 40, 50), abs=2)
 
 
-@pytest.mark.parametrize("name", list_models())
+@pytest.mark.parametrize("name", ["coex", "psmnet", "gcnet"])
 def test_every_network_can_be_estimated_and_stays_as_it_was(name: str) -> None:
     model = build_model(name, max_disparity=64).eval()
     before = {key: value.clone() for key, value in model.state_dict().items()}

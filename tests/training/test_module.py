@@ -127,10 +127,11 @@ def test_the_cross_entropy_is_of_the_best_head(name, first_level):
     training = StereoTraining(build_model(name, max_disparity=64), replace(TINY, **changes), steps=1)
     training.model.load_state_dict(model.state_dict())
     data = batch(known=0.4)
-    output = model(data["left"], data["right"], return_logits=True)
+    output = model(data["left"], data["right"])
+    assert output.distribution.first == first_level
     truth = data["disparity"]
     distance = stereo_loss(output, truth, auxiliary_weights=model.auxiliary_weights, max_disparity=30)
-    entropy = masked_cross_entropy(output.logits, truth, stride=4, first_level=first_level, max_disparity=30)
+    entropy = masked_cross_entropy(output.distribution, truth, max_disparity=30)
     logged = fit(training, [data]).callback_metrics
     assert logged["cross_entropy"].item() == pytest.approx(entropy.item(), rel=1e-4)
     assert logged["loss"].item() == pytest.approx((distance + 0.5 * entropy).item(), rel=1e-4)
@@ -146,7 +147,9 @@ class Broken(nn.Module):
 
     def forward(self, left, right):
         output = self.model(left, right)
-        return output._replace(disparity=torch.where(left.amin() == 1, math.inf, 1.0) * output.disparity)
+        *others, last = output.predictions
+        broken = torch.where(left.amin() == 1, math.inf, 1.0) * last.disparity
+        return output._replace(predictions=(*others, last._replace(disparity=broken)))
 
 
 def test_a_step_that_is_not_finite_changes_nothing():

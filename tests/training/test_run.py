@@ -140,6 +140,7 @@ def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
         assert resumed.record["validation"][key] == pytest.approx(value, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_finished_run_can_be_made_longer(tmp_path, capsys):
     train(with_length(TINY, steps=4), tmp_path, machine=on_cpu(checkpoint_every=2))
     assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"last.ckpt"}
@@ -154,6 +155,7 @@ def test_a_finished_run_can_be_made_longer(tmp_path, capsys):
         train(with_length(TINY, steps=3), tmp_path, resume=True, machine=CPU)
 
 
+@pytest.mark.slow
 def test_a_run_that_its_minutes_ended_goes_on_with_more_of_them(tmp_path):
     steps = train(TINY, tmp_path, minutes=1e-3, machine=CPU).record["steps"]
     assert steps < 6
@@ -162,6 +164,7 @@ def test_a_run_that_its_minutes_ended_goes_on_with_more_of_them(tmp_path):
     assert train(TINY, tmp_path, minutes=60, resume=True, machine=CPU).record["pairs_seen"] == 12
 
 
+@pytest.mark.slow
 def test_a_run_that_its_steps_ended_goes_on_with_more_of_them_in_the_same_minutes(tmp_path):
     train(with_length(TINY, steps=2), tmp_path, minutes=60, machine=CPU)
     assert train(with_length(TINY, steps=3), tmp_path, minutes=60, resume=True, machine=CPU).record["steps"] == 3
@@ -171,6 +174,7 @@ class Killed(BaseException):
     pass
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_in_a_validation_repeats_it(tmp_path, monkeypatch):
     often = {"machine": on_cpu(checkpoint_every=2, validate_every=2)}
     unbroken = train(TINY, tmp_path / "unbroken", **often)
@@ -338,6 +342,7 @@ def test_the_network_that_was_given_keeps_its_classes_and_learns(tmp_path, monke
     assert any("weight" in key for key in changed)
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_in_its_last_validation_still_has_its_end_to_come(tmp_path, monkeypatch):
     def kill(self):
         raise Killed
@@ -387,6 +392,7 @@ def test_a_run_from_before_a_setting_existed_is_resumed(tmp_path):
     assert train(with_length(TINY, steps=2), tmp_path, resume=True, machine=CPU).record["steps"] == 2
 
 
+@pytest.mark.slow
 def test_photographs_are_known_by_their_content(tmp_path):
     photographs = tmp_path / "photographs"
     photographs.mkdir()
@@ -462,6 +468,7 @@ def test_a_seed_is_a_whole_number(tmp_path, seed):
         train(TINY, tmp_path / "run", seed=seed, machine=CPU)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("schedule", "optimisation"),
     [
@@ -504,6 +511,7 @@ def test_the_best_network_is_kept(tmp_path, monkeypatch):
         assert record["validation"]["validation/bad_3"] == best
 
 
+@pytest.mark.slow
 def test_the_length_changes_from_epochs_to_steps(tmp_path):
     recipe = replace(TINY, schedule=replace(TINY.schedule, steps=None, epochs=3, milestones=(1.0,)))
     recipe = replace(recipe, scenes={**TINY.scenes, "count": 2})

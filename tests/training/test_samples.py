@@ -130,6 +130,7 @@ time.sleep(600)
 """
 
 
+@pytest.mark.slow
 def test_workers_end_with_a_training_that_is_killed():
     with subprocess.Popen([sys.executable, "-c", LOADING], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "loading\n"

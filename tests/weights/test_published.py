@@ -51,6 +51,7 @@ def test_coex_computes_what_the_published_one_did(coex_path: Path) -> None:
     assert ((output.disparity - golden["disparity"]).abs() < 1e-2).float().mean() > 0.999
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "k"),
     [("psmnet_concat", 192), ("psmnet_concat_gce_k6", 6), ("psmnet_corr", 192), ("psmnet_corr_gce_k6", 6)],

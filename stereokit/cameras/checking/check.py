@@ -1,5 +1,6 @@
 """The check of a pair."""
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -120,7 +121,10 @@ def check_pair(
 
 
 def _array(image: ImageLike, name: str) -> npt.NDArray[Any]:
-    return to_image_tensor(image, name)[0].permute(1, 2, 0).numpy()
+    with warnings.catch_warnings():
+        # the findings say more of the bit depth than the reader's warning
+        warnings.simplefilter("ignore", UserWarning)
+        return to_image_tensor(image, name)[0].permute(1, 2, 0).numpy()
 
 
 def _sorted(findings: list[Finding]) -> tuple[Finding, ...]:
