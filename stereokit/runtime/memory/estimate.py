@@ -25,9 +25,9 @@ def estimate_memory(
 
     Counted are the images and every tensor that the pass makes, for as long as it lives; what convolutions of the CPU
     take beside them, which is their input as columns where they are done as a plain matrix product, and else copies in
-    the layout of oneDNN; and a fifth on top for what allocators hold. For CoEx, PSMNet and GC-Net in float32 on a CPU
-    the peak that was measured was 0.8 to 1.1 times that at 384 x 1248 pixels and alike, up to 1.5 times at a quarter of
-    that. What cuDNN takes for its own use is not known and not counted.
+    the layout of oneDNN, of their weights too; and a fifth on top for what allocators hold. For CoEx, PSMNet and GC-Net
+    in float32 on a CPU the peak that was measured was 0.8 to 1.1 times that at 384 x 1248 pixels and alike, up to 1.5
+    times at a quarter of that. What cuDNN takes for its own use is not known and not counted.
 
     Args:
         model: any module ``(left, right) -> StereoOutput``, in eval mode, on its device.
@@ -114,6 +114,5 @@ def _convolution_workspace(result: Tensor, x: Tensor, weight: Tensor, *settings:
         places = (x if transposed else result)[0, 0].numel()
         return places * weight[0].numel() * x.element_size()
     channels_last = torch.channels_last_3d if x.dim() == 5 else torch.channels_last
-    if x.is_contiguous(memory_format=channels_last):
-        return 0
-    return x.numel() * x.element_size() + result.numel() * result.element_size()
+    copied = [weight] if x.is_contiguous(memory_format=channels_last) else [weight, x, result]
+    return sum(tensor.numel() * tensor.element_size() for tensor in copied)
