@@ -108,9 +108,10 @@ class Choice:
         check_interface(self.slot, block)
         return block
 
-    def plainly(self, name: str) -> bool:
-        """Whether it is the component of this name, without arguments."""
-        return self.block is None and self.name == name and not any(self.arguments.values())
+    def plainly(self, name: str, *, but_for: str) -> bool:
+        """Whether it is the component of this name, without arguments but for one."""
+        others = (value for key, value in self.arguments.items() if key != but_for)
+        return self.block is None and self.name == name and not any(others)
 
     def chosen(self, name: str) -> Any:
         """The argument of this name that was given, or what a block made elsewhere has; None without one."""

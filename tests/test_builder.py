@@ -23,7 +23,7 @@ from stereokit import (
     coex,
     list_models,
 )
-from stereokit.builder import compose
+from stereokit.compose import compose
 from stereokit.config import ModelConfig
 from stereokit.guidance import GuidancePoint, NoGuidance
 from stereokit.models.ablation import ABLATION
@@ -276,12 +276,17 @@ def test_auxiliary_outputs_have_weights_wherever_they_come_from():
 @pytest.mark.parametrize("max_disparity", [32, 64, 96, 128, 256, 320])
 @pytest.mark.parametrize("name", list_models())
 def test_other_ranges_of_disparity_rebuild(name, max_disparity):
+    if max_disparity % (step := 64 if name.startswith("casstereo") else 32):
+        with pytest.raises(ConfigError, match=f"not a positive multiple of {step}"):
+            build_model(name, max_disparity=max_disparity)
+        return
     model = build_model(name, max_disparity=max_disparity)
-    assert model.cost.planes * model.stride == max_disparity
+    first = (*model.coarse, model)[0]
+    assert first.cost.planes * first.candidates.per_plane * first.stride == max_disparity
     assert build_model(model.config).max_disparity == max_disparity
 
 
-@pytest.mark.parametrize(("name", "step"), [("coex", 32), ("psmnet", 16), ("gcnet", 32)])
+@pytest.mark.parametrize(("name", "step"), [("coex", 32), ("psmnet", 16), ("gcnet", 32), ("casstereo_psm", 64)])
 def test_ranges_that_would_do_are_offered_and_do(name, step):
     for wrong in (10 * step + 1, 10 * step + step // 2, 11 * step - 1):
         with pytest.raises(ConfigError) as error:

@@ -67,7 +67,7 @@ class GwcHourglass(nn.Module):
     Shape: volume (B, in_channels, D, H, W) and guides by stride to four tensors (B, D, H, W) of logits, larger is
     better, the best one last; in eval mode to that one alone.
 
-    Source: Guo et al., "Group-wise correlation stereo network", CVPR 2019, section 3.4.
+    Source: Guo et al., "Group-wise correlation stereo network", CVPR 2019, section 3.3.
 
     >>> import torch
     >>> gwc = GwcHourglass(in_channels=40, channels=8)

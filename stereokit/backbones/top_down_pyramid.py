@@ -34,7 +34,7 @@ class TopDownPyramid(nn.Module):
         ConfigError: a base that can't be built, or has no guide at one of the strides.
 
     Source: Gu et al., "Cascade cost volume for high-resolution multi-view stereo and stereo matching", CVPR 2020,
-    section 3.3; Lin et al., "Feature pyramid networks for object detection", CVPR 2017.
+    "Feature pyramid"; Lin et al., "Feature pyramid networks for object detection", CVPR 2017.
 
     >>> import torch
     >>> pyramid = TopDownPyramid(base="spatial_pyramid")

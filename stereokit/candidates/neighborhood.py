@@ -106,9 +106,8 @@ class NeighborhoodRange(_AroundBefore):
         window: of cells, odd.
         cell: in px.
         published: as the published weights were trained: the candidates are made a `cell`-th as many, interpolated in
-            all
-            three dimensions, so that the first ones of a pixel are equal and so are the last ones, and the range ends
-            at `cell` times D.
+            all three dimensions, so that the first ones of a pixel are equal and so are the last ones, and the range
+            ends at `cell` times D.
 
     Shape: a prediction (B, h, w) to candidates (B, N, h, w), at its resolution.
 
@@ -151,9 +150,10 @@ class NeighborhoodRange(_AroundBefore):
         coarse = F.interpolate(disparity.unsqueeze(1), cells, mode="bilinear", align_corners=False)
         high = self._largest(coarse)
         low = -self._largest(-coarse)
-        missing = (self.candidates * self.spacing - (high - low)).clamp(min=0) / 2
+        missing = (self.candidates * self.spacing - (high - low)).clamp(min=0.0) / 2
         last = float(self.max_disparity * (self.cell if self.published else 1))
-        low, high = ((x).clamp(0, last).squeeze(1) for x in (low - missing, high + missing))
+        # no whole number for a bound: ONNX takes two of one type
+        low, high = (x.clamp(0.0, last).squeeze(1) for x in (low - missing, high + missing))
         if self.published:
             values = spread_candidates(low, high, self.candidates // self.cell)
             size = (self.candidates, height, width)

@@ -63,12 +63,20 @@ def _up(published: str, ours: str) -> list[tuple[str, str]]:
     return [(f"{published}deconv.block.", f"{ours}up."), (f"{published}conv.block.", f"{ours}merge.")]
 
 
+NECK = KeyMap(
+    [
+        *_up("fpn_layer4.", "up_16."),
+        *_up("fpn_layer3.", "up_8."),
+        *_up("fpn_layer2.", "up_4."),
+        ("out_conv.block.", "head."),
+    ]
+)
+
 KEYS = (
     *ENCODER.under("backbone.", "backbone.encoder."),
-    *_up("neck.fpn_layer4.", "backbone.up_16."),
-    *_up("neck.fpn_layer3.", "backbone.up_8."),
-    *_up("neck.fpn_layer2.", "backbone.up_4."),
-    ("neck.out_conv.block.", "backbone.head."),
+    *NECK.under("neck.", "backbone."),
+    # OpenStereo has the neck inside the backbone
+    *NECK.under("backbone.", "backbone."),
     *_inverted("cost_agg.conv0.{n}.", "aggregation.down1.blocks.{n}."),
     *_inverted("cost_agg.conv1.", "aggregation.down2.blocks.0."),
     *_inverted("cost_agg.conv2.{n}.", "aggregation.down2.blocks.{n+1}."),
@@ -90,4 +98,4 @@ KEYS = (
 OVERRIDES: dict[str, Any] = {"padding": "black", "corner": "top_right", "upsampler": {"padding": "zeros"}}
 
 for size in "sml":
-    publish(f"lightstereo_{size}", source="LightStereoX", licence="none", keys=KEYS, overrides=OVERRIDES)
+    publish(f"lightstereo_{size}", source="LightStereoX and OpenStereo", licence="none", keys=KEYS, overrides=OVERRIDES)

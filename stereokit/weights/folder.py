@@ -16,7 +16,7 @@ from torch import Tensor
 
 from stereokit._version import __version__
 from stereokit.config import NetworkConfig, rebuild
-from stereokit.errors import CheckpointError, ConfigError
+from stereokit.errors import CheckpointError, ConfigError, StereoKitError
 from stereokit.files import atomic_path, make_folder
 from stereokit.weights.places import is_hub_id
 
@@ -36,6 +36,9 @@ __all__ = [
 
 CONFIG_NAME = "config.json"
 WEIGHTS_NAME = "model.safetensors"
+
+MOST_NAMED = 4
+"""Of what does not fit, so that a message stays a line."""
 
 
 def saved_config(model: "StereoNetwork") -> NetworkConfig:
@@ -128,21 +131,42 @@ def restore(
         ConfigError: the configuration or an override can't be built.
         CheckpointError: the weights do not fit the network.
     """
-    model: StereoNetwork = rebuild(config, **overrides)
+    if _names(config, "pretrained"):
+        raise CheckpointError(
+            f"the configuration of {source!r} asks for other weights (pretrained); take that out of it"
+        )
     try:
-        load_state(model, state, source)
+        with torch.device("meta"):
+            # without data, so that sizes which are not those of the weights take no memory
+            wanted = rebuild(config, **overrides).state_dict()
+    except StereoKitError:
+        raise
+    except (TypeError, ValueError, RuntimeError, OverflowError, AttributeError, KeyError) as error:
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise CheckpointError(f"the configuration of {source!r} can't be built: {reason}") from error
+    try:
+        check_state(wanted, state, source)
     except CheckpointError as error:
         if not overrides:
             raise
-        own = rebuild(config).config
-        differing = [key for key, value in model.config.items() if own.get(key) != value]
+        own, given = rebuild(config).config, rebuild(config, **overrides).config
+        differing = [key for key, value in given.items() if own.get(key) != value]
         if not differing:
             raise
         raise CheckpointError(
             f"the weights {source!r} are of another network: it differs in {', '.join(differing)}; "
             "leave that as it is, or train it"
         ) from error
+    model: StereoNetwork = rebuild(config, **overrides)
+    model.load_state_dict(dict(state))
     return model.eval()
+
+
+def _names(config: object, key: str) -> bool:
+    """Whether a configuration has an argument of this name, that is not false, anywhere."""
+    if isinstance(config, Mapping):
+        return bool(config.get(key)) or any(_names(part, key) for part in config.values())
+    return isinstance(config, list) and any(_names(part, key) for part in config)
 
 
 def _fetch(folder_or_id: str, name: str, hub_arguments: Mapping[str, Any]) -> str:
@@ -171,7 +195,12 @@ def load_state(model: torch.nn.Module, state: Mapping[str, Tensor], source: str)
     Raises:
         CheckpointError: keys are missing or unknown, have other shapes, or values that are not finite; each is named.
     """
-    wanted = model.state_dict()
+    check_state(model.state_dict(), state, source)
+    model.load_state_dict(dict(state))
+
+
+def check_state(wanted: Mapping[str, Tensor], state: Mapping[str, Tensor], source: str) -> None:
+    """Raises `CheckpointError` unless weights have these names and shapes and are finite; names some that do not."""
     problems = [
         *(f"missing {key}" for key in wanted if key not in state),
         *(f"unknown {key}" for key in state if key not in wanted),
@@ -182,8 +211,13 @@ def load_state(model: torch.nn.Module, state: Mapping[str, Tensor], source: str)
         ),
     ]
     if problems:
-        raise CheckpointError(f"{source!r} does not fit the network: {'; '.join(problems)}")
+        raise CheckpointError(f"{source!r} does not fit the network: {_some(problems, '; ')}")
     broken = [key for key, value in state.items() if not value.isfinite().all()]
     if broken:
-        raise CheckpointError(f"{source!r} holds weights that are NaN or infinite: {', '.join(broken)}")
-    model.load_state_dict(dict(state))
+        raise CheckpointError(f"{source!r} holds weights that are NaN or infinite: {_some(broken, ', ')}")
+
+
+def _some(parts: list[str], separator: str) -> str:
+    """A few of many."""
+    more = f"{separator}and {len(parts) - MOST_NAMED} more" if len(parts) > MOST_NAMED else ""
+    return separator.join(parts[:MOST_NAMED]) + more

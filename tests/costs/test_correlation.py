@@ -147,6 +147,28 @@ def test_groups_that_do_not_divide_are_refused(groups):
         GroupwiseCorrelationVolume(in_channels=4, planes=2, groups=groups)
 
 
+@pytest.mark.parametrize("channels", [8, 24])
+def test_groups_are_given_by_their_size_too(channels):
+    cost = GroupwiseCorrelationVolume(in_channels=channels, planes=2, group_channels=4)
+    assert cost.groups == cost.out_channels == channels // 4
+    with pytest.raises(ConfigError, match=r"group_channels=5 does not divide the 8 .*use \[1, 2, 4, 8\]"):
+        GroupwiseCorrelationVolume(in_channels=8, planes=2, group_channels=5)
+    with pytest.raises(ConfigError, match="give one of groups=2 and group_channels=4"):
+        GroupwiseCorrelationVolume(in_channels=8, planes=2, groups=2, group_channels=4)
+
+
+@given(feature_pairs(), st.integers(1, 3), st.booleans())
+def test_candidates_of_whole_pixels_are_the_planes(pair, groups, normalise):
+    left, right, levels = pair
+    left, right = left.repeat(1, groups, 1, 1), right.repeat(1, groups, 1, 1)
+    planes = torch.arange(levels, dtype=left.dtype).reshape(1, -1, 1, 1)
+    planes = planes.expand(len(left), -1, *left.shape[-2:])
+    assert_close(
+        groupwise_correlation_volume(left, right, planes, groups, normalise=normalise),
+        groupwise_correlation_volume(left, right, levels, groups, normalise=normalise),
+    )
+
+
 def test_gradients_are_right():
     left, right = torch.randn(2, 1, 4, 2, 5, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda a, b: correlation_volume(a, b, 3), (left, right))

@@ -10,7 +10,27 @@ from stereokit.losses import stereo_loss
 
 REFINED = [{"name": "edge_aware", "channels": 8, "dilations": [1, 2]}]
 
+PYRAMID = {"name": "top_down_pyramid", "base": "spatial_pyramid"}
+GWC = {"name": "gwc_hourglass", "channels": 8}
+
 SWAPS = [
+    ("coex", {"aggregation": GWC, "guidance_at": "one"}),
+    ("psmnet", {"aggregation": GWC, "guidance": "gce", "guidance_at": "full"}),
+    ("psmnet", {"backbone": "gwc_trunk", "stride": 4}),
+    ("gcnet", {"backbone": "gwc_trunk", "stride": 4, "upsampler": "trilinear"}),
+    ("gwcnet_g", {"guidance": "gce", "top_k": 6}),
+    ("gwcnet_g", {"cost": "correlation", "upsampler": "superpixel"}),
+    ("psmnet", {"backbone": PYRAMID | {"smooth": False}}),
+    ("gcnet", {"backbone": {"name": "top_down_pyramid", "base": "unet", "smooth": False}}),
+    ("casstereo_gwc", {"guidance": "gce"}),
+    (
+        "psmnet",
+        {
+            "backbone": PYRAMID,
+            "coarse": [{"stride": 4, "candidates": {"name": "uniform", "per_plane": 4}}],
+            "candidates": {"name": "range"},
+        },
+    ),
     ("coex", {"refinements": REFINED}),
     ("gcnet", {"refinements": REFINED}),
     ("psmnet", {"refinements": REFINED * 2}),
