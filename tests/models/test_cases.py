@@ -200,8 +200,10 @@ def test_its_memory_is_below_the_estimate(name):
         taken = peak.bytes()
     if taken is None:
         pytest.skip("this system does not tell")
-    # of small pairs what the allocator and the libraries hold for themselves weighs more
-    assert taken < 1.5 * estimate_memory(model, height, width) + 100e6
+    # of small pairs what the allocator and the libraries hold for themselves weighs more: gaps where copies of weights
+    # lay, too
+    weights = sum(p.numel() * p.element_size() for p in model.parameters())
+    assert taken < 1.5 * estimate_memory(model, height, width) + 100e6 + weights
 
 
 @pytest.mark.slow
