@@ -30,6 +30,9 @@ steps = 2
 
 [optimisation]
 learning_rate = 1e-4
+
+[loss]
+kind = "l1"
 """
 
 
@@ -92,7 +95,7 @@ def test_its_time_is_split_into_its_blocks(capsys):
 
 @pytest.mark.slow
 def test_it_is_trained_by_a_recipe(tmp_path, monkeypatch):
-    monkeypatch.setattr("stereokit.training.run.VALIDATION_SCENES", 1)
+    monkeypatch.setattr("stereokit.training.opening.VALIDATION_SCENES", 1)
     recipe = tmp_path / "mine.toml"
     recipe.write_text(RECIPE)
     assert (
