@@ -124,9 +124,15 @@ def _build_stage(
     cost = slots["cost"].build(in_channels=info.matching_channels[stride], planes=candidates.planes)
     aggregation, guidance = _build_aggregation(slots["aggregation"], settings, default, presets, cost, info)
     regression = slots["regression"].build()
+    given = stride // aggregation.upscale
+    if given % ends_at:
+        raise ConfigError(
+            f"the first refinement works at stride {ends_at}, but {slots['aggregation']} gives logits of stride {given}; "
+            f"use a stride that divides {given}"
+        )
     upsampler = slots["upsampler"].build(
-        scale=stride // aggregation.upscale // ends_at,
-        stride=stride // aggregation.upscale,
+        scale=given // ends_at,
+        stride=given,
         guide_channels={1: 3, **info.guide_channels},
     )
     blocks = {

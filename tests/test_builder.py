@@ -149,6 +149,10 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"aggregation": Hourglass(in_channels=2)}, ["cost CorrelationVolume", "aggregation Hourglass", "1", "2"]),
         ({"aggregation": {"channels": [8, 16]}}, ["aggregation 'hourglass' can't be built with channels=[8, 16]"]),
         ({"upsampler": BilinearUpsampler(scale=8)}, ["aggregation Hourglass", "upsampler BilinearUpsampler", "4", "8"]),
+        (
+            {"refinements": [{"name": "edge_aware", "stride": 8}]},
+            ["first refinement works at stride 8", "aggregation 'hourglass' gives logits of stride 4"],
+        ),
         ({"upsampler": "none"}, ["aggregation Hourglass", "upsampler NoUpsampler", "4", "1"]),
         ({"regression": nn.Identity()}, ["regression Identity lacks min_levels, with_confidence"]),
         ({"backbone": "spatial_pyramidd"}, ["unknown backbone 'spatial_pyramidd'", "'spatial_pyramid'"]),
