@@ -127,8 +127,8 @@ def _build_stage(
     given = stride // aggregation.upscale
     if given % ends_at:
         raise ConfigError(
-            f"the first refinement works at stride {ends_at}, but {slots['aggregation']} gives logits of stride {given}; "
-            f"use a stride that divides {given}"
+            f"the first refinement works at stride {ends_at}, but {slots['aggregation']} gives logits of stride "
+            f"{given}; use a stride that divides it"
         )
     upsampler = slots["upsampler"].build(
         scale=given // ends_at,
