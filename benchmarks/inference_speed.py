@@ -81,7 +81,7 @@ class StackedCorrelation(nn.Module):
 class SortedTopK(TopKSoftArgmin):
     """The top k by a full sort; no confidence."""
 
-    def with_confidence(self, logits: Tensor) -> tuple[Tensor, Tensor]:
+    def with_confidence(self, logits: Tensor, candidates: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """The estimate, and zeros."""
         values, index = logits.sort(dim=1, descending=True)
         estimate = (values[:, : self.test_k].softmax(1) * index[:, : self.test_k]).sum(1)
