@@ -171,7 +171,9 @@ def test_compile_captures_one_graph_that_agrees(name):
 @pytest.mark.slow
 @every_network
 @pytest.mark.parametrize("fixed", [True, False])
-def test_it_is_exported_and_checked(name, fixed, tmp_path):
+def test_it_is_exported_and_checked(name, fixed, tmp_path, monkeypatch):
+    # candidates around a prediction make the rounding of random weights larger
+    monkeypatch.setattr("stereokit.export.checking.TOLERANCE", CASES[name].rounding)
     case = CASES[name]
     model = settled(small(name), pair(case))
     size = case.size if fixed else None
