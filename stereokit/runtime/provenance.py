@@ -101,7 +101,7 @@ def commit() -> str | None:
     """The commit of the source tree that this library is run from, "-dirty" behind it if files differ; None if it is
     installed.
     """
-    source = Path(__file__).parents[1]
+    source = Path(__file__).parents[2]
     if not (source / ".git").exists():
         return None
     git = ["git", "-C", str(source)]
