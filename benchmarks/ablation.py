@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from stereokit import StereoKitError, StereoModel, build_model
 from stereokit.data.synthetic import SyntheticScenes
-from stereokit.files import atomic_path
+from stereokit.files import write_json
 from stereokit.metrics import StereoMetrics
 from stereokit.models.ablation import ABLATION, AblationRow
 from stereokit.training import Machine, Recipe, load_recipe, train, with_length
@@ -109,8 +109,7 @@ def result_of(row: AblationRow, name: str, options: argparse.Namespace) -> dict[
     model = build_model(row.model, **at_test)
     model.load_state_dict(network.state_dict())
     result = {"asked": asked, "row": describe(row), "run": run, **tested(model, asked, options)}
-    with atomic_path(path, overwrite=False) as temporary:
-        temporary.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_json(path, result)
     return result
 
 

@@ -8,7 +8,6 @@ does it. Random weights: they do not change the speed.
 """
 
 import argparse
-import json
 import multiprocessing
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -21,7 +20,7 @@ from tqdm import tqdm
 
 from stereokit import StereoKitError
 from stereokit.bench import Benchmark, Candidate, Row, run_benchmark, source_of
-from stereokit.files import atomic_path, check_free
+from stereokit.files import check_free, write_json
 from stereokit.optimize import keep_freed_memory
 from stereokit.runtime.device import choose_device
 from stereokit.runtime.memory import format_memory
@@ -54,8 +53,7 @@ def main() -> int:
         runs = [measure(point, device, options.repeats, options.threads) for point in tqdm(points)]
         if options.json:
             record = {"machine": machine(), "versions": versions(), "runs": [asdict(run) for run in runs]}
-            with atomic_path(options.json, overwrite=options.overwrite) as temporary:
-                temporary.write_text(json.dumps(record, indent=2) + "\n")
+            write_json(options.json, record, overwrite=options.overwrite)
     except StereoKitError as error:
         print(f"growth: {error}", file=sys.stderr)
         return 2

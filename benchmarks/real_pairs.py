@@ -11,7 +11,6 @@ too. OpenCV's semi-global matcher with 8 and 5 paths, holes filled, stands besid
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -25,7 +24,7 @@ from stereokit import StereoKitError, StereoModel, list_weights, load_published
 from stereokit.data import read_disparity
 from stereokit.data.datasets import Source, StereoDataset, StereoEntry, open_dataset
 from stereokit.evaluation import SGBM_VARIANTS, Evaluation, Matcher, NetworkMatcher, evaluate
-from stereokit.files import atomic_path
+from stereokit.files import write_json
 from stereokit.inference import Predictor
 from stereokit.weights.places import is_exported
 
@@ -85,8 +84,7 @@ def main() -> int:
     print(table(results))
     if options.json is not None:
         first = numbers(next(iter(results.values())))
-        with atomic_path(options.json, overwrite=True) as temporary:
-            temporary.write_text(json.dumps(first, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, first, overwrite=True)
     return 0
 
 

@@ -1,14 +1,16 @@
 """Files that appear whole or not at all."""
 
+import json
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from stereokit.errors import InputError
 
-__all__ = ["atomic_path", "check_folder", "check_free", "make_folder"]
+__all__ = ["atomic_path", "check_folder", "check_free", "make_folder", "write_json"]
 
 
 @contextmanager
@@ -48,6 +50,16 @@ def atomic_path(path: str | os.PathLike[str], *, overwrite: bool = False) -> Ite
         raise InputError(f"{os.fspath(path)!r} can't be written: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_json(path: str | os.PathLike[str], values: Mapping[str, Any], *, overwrite: bool = False) -> None:
+    """Writes a record as JSON, whole or not at all.
+
+    Raises:
+        InputError: see `atomic_path`.
+    """
+    with atomic_path(path, overwrite=overwrite) as temporary:
+        temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
 
 
 def make_folder(folder: str | os.PathLike[str]) -> None:

@@ -1,6 +1,5 @@
 """The geometry of a rectified pair: what turns disparity into depth, and pixels into rays."""
 
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ import numpy.typing as npt
 
 from stereokit.calibration.versioned import check_version, is_count, read_number
 from stereokit.errors import InputError
-from stereokit.files import atomic_path
+from stereokit.files import write_json
 
 __all__ = ["FORMAT", "VERSION", "Calibration", "PathLike"]
 
@@ -290,8 +289,7 @@ class Calibration:
                 f"{os.fspath(path)!r}: Calibration.write makes the library's own .json; use write_calibration for "
                 "other formats"
             )
-        with atomic_path(path, overwrite=overwrite) as temporary:
-            temporary.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+        write_json(path, self.to_dict(), overwrite=overwrite)
 
     @property
     def _size_text(self) -> str:

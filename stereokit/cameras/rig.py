@@ -1,6 +1,5 @@
 """Two cameras as they are before rectification."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from stereokit.calibration.formats.text import named, numbers
 from stereokit.calibration.rectified import PathLike
 from stereokit.calibration.versioned import check_version
 from stereokit.errors import InputError
-from stereokit.files import atomic_path
+from stereokit.files import write_json
 
 __all__ = ["Camera", "Model", "Rig", "read_rig"]
 
@@ -167,8 +166,7 @@ class Rig:
         if Path(path).suffix.lower() != ".json":
             raise InputError(f"{os.fspath(path)!r}: a rig is written as .json")
         values = {**self.to_dict(), **({} if about is None else {"about": dict(about)})}
-        with atomic_path(path, overwrite=overwrite) as temporary:
-            temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+        write_json(path, values, overwrite=overwrite)
 
 
 def read_rig(path: PathLike) -> Rig:

@@ -6,7 +6,7 @@ from pathlib import Path
 from stereokit.cli.options import add_published_options
 from stereokit.files import check_folder, check_free
 from stereokit.weights.folder import CONFIG_NAME, WEIGHTS_NAME
-from stereokit.weights.opening import open_published
+from stereokit.weights.published import convert_published
 
 __all__ = ["add_arguments", "run"]
 
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> None:
     check_folder(options.out)
     check_free([Path(options.out) / name for name in (CONFIG_NAME, WEIGHTS_NAME)], overwrite=options.overwrite)
     overrides = {} if options.top_k is None else {"top_k": options.top_k}
-    model, report = open_published(options.checkpoint, options.model, options.channel_order, **overrides)
+    model, report = convert_published(options.checkpoint, options.model, options.channel_order, **overrides)
     model.save_pretrained(options.out)
     regression = f"; regression {model.config['regression']}" if "regression" in model.config else ""
     print(f"{report}\nwrote {options.out} ({report.network}, from {report.channel_order.upper()}{regression})")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from stereokit.calibration import Calibration, read_calibration
 from stereokit.cameras.cloud import CLOUD_SUFFIXES, Axes, Holes
 from stereokit.cameras.consistency import occluded, right_disparity
-from stereokit.cameras.depth import DEPTH_SUFFIXES, fill_background, write_depth
+from stereokit.cameras.depth import DEPTH_SUFFIXES, depth_from_disparity, fill_background, write_depth
 from stereokit.data.inputs import to_pair
 from stereokit.data.pairs import ImagePair
 from stereokit.errors import ConfigError
@@ -105,14 +105,15 @@ class DepthFiles:
         if self.calibration is None:
             return []
         self.calibration.check_size(*result.size)
-        views = [view[0].permute(1, 2, 0).numpy() for view in to_pair(pair.left, pair.right)]
         valid = None
+        if self.options.left_right or self.options.cloud is not None:
+            left, right = (view[0].permute(1, 2, 0).numpy() for view in to_pair(pair.left, pair.right))
         if self.options.left_right:
-            valid = ~occluded(result.disparity, right_disparity(_match(predictor), views[0], views[1]))
+            valid = ~occluded(result.disparity, right_disparity(_match(predictor), left, right))
         lines = []
         for path in self.paths(pair.name):
             if path.stem.endswith("_cloud"):
-                lines.append(self._write_cloud(path, result, views[0], valid))
+                lines.append(self._write_cloud(path, result, left, valid))
             else:
                 lines.append(self._write_depth(path, result, valid))
         return lines
@@ -120,15 +121,11 @@ class DepthFiles:
     def _write_depth(self, path: Path, result: DisparityResult, valid: npt.NDArray[np.bool_] | None) -> str:
         options = self.options
         assert self.calibration is not None
+        kept = result.trusted(min_confidence=options.min_confidence, valid=valid)
+        disparity = np.where(kept, result.disparity, np.nan)
         if options.holes == "background":
-            kept = result.trusted(min_confidence=options.min_confidence, valid=valid)
-            filled = fill_background(np.where(kept, result.disparity, np.nan))
-            result, valid = DisparityResult(filled, None, result.seconds), None
-            depth = result.depth(self.calibration, max_depth=options.max_depth)
-        else:
-            depth = result.depth(
-                self.calibration, min_confidence=options.min_confidence, valid=valid, max_depth=options.max_depth
-            )
+            disparity = fill_background(disparity)
+        depth = depth_from_disparity(disparity, self.calibration, max_depth=options.max_depth)
         beyond = write_depth(path, depth, overwrite=options.overwrite)
         known = depth[np.isfinite(depth)]
         reach = (

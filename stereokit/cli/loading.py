@@ -10,9 +10,9 @@ from stereokit.weights.opening import (
     find_network,
     load_network,
     open_network,
-    open_published,
     trained_network,
 )
+from stereokit.weights.published import convert_published
 
 if TYPE_CHECKING:
     from stereokit.network import StereoNetwork
@@ -77,7 +77,7 @@ def _settings(options: argparse.Namespace, place: NetworkPlace) -> dict[str, Any
 
 def _open_published(options: argparse.Namespace, place: NetworkPlace, settings: dict[str, Any]) -> "StereoNetwork":
     """The network of a published checkpoint; says what was taken for granted."""
-    model, report = open_published(place.name, **settings)
+    model, report = convert_published(place.name, **settings)
     order = report.channel_order.upper()
     said = "" if options.channel_order else f", as the authors' are (--channel-order {_other(order)} if these are not)"
     print(f"{place.name}: {report.network}, {report.loaded} tensors, taken to be trained on {order} images{said}")

@@ -81,7 +81,7 @@ class Predictor:
         if place is None or place.kind != "exported":
             # now rather than after the weights are read
             device = choose_device(device)
-        opened = model if isinstance(model, nn.Module) else open_network(model)
+        opened = model if place is None else open_network(place)
         self.backend: Backend = open_backend(opened, device, backend, precision)
         self.scale = scale
         self._planner = MemoryPlanner(self.backend, max_memory, too_large)

@@ -8,7 +8,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 from stereokit.errors import ConfigError
 
-__all__ = ["check_fields", "check_types", "check_unused", "is_number"]
+__all__ = ["brief", "check_fields", "check_types", "check_unused", "is_number"]
 
 _WORDS: dict[Any, str] = {
     bool: "true or false",
@@ -50,13 +50,13 @@ def check_types(section: str, values: Mapping[str, Any], annotations: Mapping[st
         if key not in annotations:
             continue
         if not _fits(value, annotations[key]):
-            raise ConfigError(f"{section}: {key} is {_brief(value)}; expected {_in_words(annotations[key])}")
+            raise ConfigError(f"{section}: {key} is {brief(value)}; expected {_in_words(annotations[key])}")
         # a class of its own checks what it holds
         own = get_origin(annotations[key]) is None and isinstance(annotations[key], type)
         if not own and (odd := _not_plain(value, key)) is not None:
             place, part = odd
             raise ConfigError(
-                f"{section}: {place} is {_brief(part)}; expected text, a finite number, true or false, or a list or "
+                f"{section}: {place} is {brief(part)}; expected text, a finite number, true or false, or a list or "
                 "table of these"
             )
 
@@ -76,7 +76,7 @@ def check_unused(section: str, settings: Any, kind: str, used: Mapping[str, Sequ
         if name not in used[kind] and given != defaults[name]:
             others = " or ".join(repr(other) for other, names in used.items() if name in names)
             raise ConfigError(
-                f"{section}: {name} = {_brief(given)} has no effect with kind {kind!r}; leave it out, or choose kind "
+                f"{section}: {name} = {brief(given)} has no effect with kind {kind!r}; leave it out, or choose kind "
                 f"{others}"
             )
 
@@ -133,6 +133,7 @@ def _not_plain(value: Any, place: str) -> tuple[str, Any] | None:
     return next((odd for name, part in parts if (odd := _not_plain(part, name)) is not None), None)
 
 
-def _brief(value: Any) -> str:
+def brief(value: Any, most: int = 80) -> str:
+    """A value for a message, cut where it is longer than so many characters."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else f"{text[:80]}..."
+    return text if len(text) <= most else f"{text[:most]}..."

@@ -62,7 +62,7 @@ class StereoTraining(LightningModule):
         compile: bool = False,
     ) -> None:
         super().__init__()
-        self.measure = named_loss({"name": recipe.loss.name, **recipe.loss.arguments})
+        self.measure = named_loss(recipe.loss.kind)
         # a twin, so that the network that was given keeps its classes
         self.model = prepare_for_training(model)
         self.recipe = recipe

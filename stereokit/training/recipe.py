@@ -38,8 +38,8 @@ class Loss:
     Raises:
         ConfigError: a value of another type or out of range.
 
-    >>> Loss(kind={"name": "smooth_l1"}).name
-    'smooth_l1'
+    >>> Loss(kind={"name": "smooth_l1"}).kind
+    {'name': 'smooth_l1'}
     """
 
     kind: str | Mapping[str, Any] = "smooth_l1"
@@ -54,16 +54,6 @@ class Loss:
             raise ConfigError(f"loss: max_disparity must be positive, got {self.max_disparity}")
         if self.cross_entropy < 0:
             raise ConfigError(f"loss: cross_entropy is a weight from 0 up, got {self.cross_entropy!r}")
-
-    @property
-    def name(self) -> str:
-        """Of the kind."""
-        return self.kind if isinstance(self.kind, str) else str(self.kind["name"])
-
-    @property
-    def arguments(self) -> dict[str, Any]:
-        """Of the kind."""
-        return {} if isinstance(self.kind, str) else {key: part for key, part in self.kind.items() if key != "name"}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,10 +10,11 @@ from typing import Any, cast
 import torch
 
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
-from stereokit.files import atomic_path, make_folder
+from stereokit.files import make_folder, write_json
+from stereokit.training.fields import brief
 from stereokit.training.recipe import Recipe
 
-__all__ = ["RunFolder", "write_json"]
+__all__ = ["RunFolder"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class RunFolder:
             before = _read_json(self.record)
             self._check_same_run(before, asked)
             if before.pop("ended_by", None) is not None:
-                write_json(self.record, before)
+                write_json(self.record, before, overwrite=True)
             return
         if self.record.exists() and not self._failed_at_once():
             raise InputError(
@@ -62,7 +63,7 @@ class RunFolder:
         if not self.record.exists() and self.path.exists() and any(self.path.iterdir()):
             raise InputError(f"the folder {str(self.path)!r} is not empty and holds no run; choose another --out")
         make_folder(self.last.parent)
-        write_json(self.record, {**asked, **circumstances})
+        write_json(self.record, {**asked, **circumstances}, overwrite=True)
 
     def check_checkpoint(self, steps: int, minutes: float | None) -> None:
         """Sees that there is something left to do.
@@ -95,7 +96,7 @@ class RunFolder:
         ended_by = str(error) if isinstance(error, StereoKitError) else f"{type(error).__name__}: {error}"
         # such as a full disk, which is what is to be told
         with suppress(StereoKitError):
-            write_json(self.record, {**_read_json(self.record), "ended_by": ended_by})
+            write_json(self.record, {**_read_json(self.record), "ended_by": ended_by}, overwrite=True)
 
     def _failed_at_once(self) -> bool:
         """Whether an error ended the run before there was anything to lose."""
@@ -111,8 +112,8 @@ class RunFolder:
             if isinstance(value, Mapping) and isinstance(wanted, Mapping):
                 value, wanted = _without_common(value, wanted), _without_common(wanted, value)
             raise ConfigError(
-                f"{str(self.path)!r} was started with {key} {_brief(value)}, not {_brief(wanted)}; resume it with the "
-                "same, or choose another --out"
+                f"{str(self.path)!r} was started with {key} {brief(value, 200)}, not {brief(wanted, 200)}; "
+                "resume it with the same, or choose another --out"
             )
 
 
@@ -139,19 +140,8 @@ def _without_common(values: Mapping[str, Any], others: Mapping[str, Any]) -> dic
     return {key: value for key, value in values.items() if key not in others or others[key] != value}
 
 
-def _brief(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 200 else f"{text[:200]}..."
-
-
 def _read_json(path: Path) -> dict[str, Any]:
     try:
         return cast(dict[str, Any], json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError) as error:
         raise CheckpointError(f"{str(path)!r} can't be read: {error}") from error
-
-
-def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Writes a record, whole or not at all."""
-    with atomic_path(path, overwrite=True) as temporary:
-        temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")

@@ -12,6 +12,7 @@ from lightning.pytorch.callbacks import Callback
 
 from stereokit.data.datasets.layout import images_in
 from stereokit.errors import ConfigError
+from stereokit.files import write_json
 from stereokit.network import StereoNetwork
 from stereokit.optimize import copy_state
 from stereokit.runtime import provenance
@@ -27,7 +28,7 @@ from stereokit.training.opening import NetworkFrom, new_network, open_pairs, rec
 from stereokit.training.pictures import ValidationPictures
 from stereokit.training.progress import ProgressBar
 from stereokit.training.recipe import Recipe
-from stereokit.training.resume import RunFolder, write_json
+from stereokit.training.resume import RunFolder
 from stereokit.training.statistics import SharedBatchStatistics
 from stereokit.training.trainer import build_trainer, fit, is_first_process
 
@@ -231,7 +232,7 @@ def _save(
     }
     if is_first_process():
         trained.save_pretrained(place)
-        write_json(place / "training.json", record)
+        write_json(place / "training.json", record, overwrite=True)
     return record
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from stereokit._version import __version__
 from stereokit.config import NetworkConfig, rebuild
 from stereokit.errors import CheckpointError, ConfigError, StereoKitError
-from stereokit.files import atomic_path, make_folder
+from stereokit.files import atomic_path, make_folder, write_json
 from stereokit.weights.places import is_hub_id
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ __all__ = [
     "save_folder",
     "saved_config",
     "write_config",
+    "write_weights",
 ]
 
 CONFIG_NAME = "config.json"
@@ -76,15 +77,19 @@ def save_folder(model: "StereoNetwork", folder: Path) -> None:
     """
     config = saved_config(model)
     make_folder(folder)
-    with atomic_path(folder / WEIGHTS_NAME, overwrite=True) as temporary:
-        temporary.write_bytes(save({k: v.contiguous() for k, v in model.state_dict().items()}))
+    write_weights(model.state_dict(), folder, overwrite=True)
     write_config(config, folder, overwrite=True)
+
+
+def write_weights(state: Mapping[str, Tensor], folder: Path, *, overwrite: bool) -> None:
+    """Writes the weights of a network."""
+    with atomic_path(folder / WEIGHTS_NAME, overwrite=overwrite) as temporary:
+        temporary.write_bytes(save({key: value.contiguous() for key, value in state.items()}))
 
 
 def write_config(config: NetworkConfig, folder: Path, *, overwrite: bool) -> None:
     """Writes the configuration of a network, beside whose weights it makes a folder a saved network."""
-    with atomic_path(folder / CONFIG_NAME, overwrite=overwrite) as temporary:
-        temporary.write_text(json.dumps({"stereokit": __version__, "network": config}, indent=2) + "\n")
+    write_json(folder / CONFIG_NAME, {"stereokit": __version__, "network": config}, overwrite=overwrite)
 
 
 def load_folder(
@@ -138,19 +143,20 @@ def restore(
     try:
         with torch.device("meta"):
             # without data, so that sizes which are not those of the weights take no memory
-            wanted = rebuild(config, **overrides).state_dict()
+            shaped: StereoNetwork = rebuild(config, **overrides)
     except StereoKitError:
         raise
     except (TypeError, ValueError, RuntimeError, OverflowError, AttributeError, KeyError) as error:
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise CheckpointError(f"the configuration of {source!r} can't be built: {reason}") from error
     try:
-        check_state(wanted, state, source)
+        check_state(shaped.state_dict(), state, source)
     except CheckpointError as error:
         if not overrides:
             raise
-        own, given = rebuild(config).config, rebuild(config, **overrides).config
-        differing = [key for key, value in given.items() if own.get(key) != value]
+        with torch.device("meta"):
+            own = rebuild(config).config
+        differing = [key for key, value in shaped.config.items() if own.get(key) != value]
         if not differing:
             raise
         raise CheckpointError(

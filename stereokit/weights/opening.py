@@ -1,6 +1,5 @@
 """From a name or a place to a network: the one door."""
 
-import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from stereokit.registry import MODELS, WEIGHTS, suggest
 from stereokit.weights.folder import WEIGHTS_NAME, load_folder
 from stereokit.weights.key_map import ChannelOrder
 from stereokit.weights.places import FILE_BACKENDS, check_no_program, is_exported, is_hub_id
-from stereokit.weights.published import ConversionReport, convert_published
+from stereokit.weights.published import load_published
 from stereokit.weights.shipped import default_weights, list_weights, load_weights, suggest_weights, weights_folder
 
 if TYPE_CHECKING:
@@ -25,11 +24,8 @@ __all__ = [
     "find_network",
     "load_network",
     "open_network",
-    "open_published",
     "trained_network",
 ]
-
-logger = logging.getLogger("stereokit")
 
 BareName: TypeAlias = Literal["trained", "untrained"]
 """What the name of a registered network stands for: the network with its default weights, or with random ones."""
@@ -252,7 +248,7 @@ def _load(
 ) -> "StereoNetwork":
     found.check_published_options(channel_order=channel_order)
     if found.kind == "published":
-        return open_published(found.name, network, channel_order, **overrides)[0]
+        return load_published(found.name, network, channel_order, **overrides)
     model: StereoNetwork
     if found.kind == "untrained":
         model = rebuild({"name": found.name}, **overrides).eval()
@@ -267,23 +263,6 @@ def _load(
             f"a {network}"
         )
     return model
-
-
-def open_published(
-    path: str | os.PathLike[str],
-    network: str | None = None,
-    channel_order: ChannelOrder | None = None,
-    **overrides: Any,
-) -> tuple["StereoNetwork", ConversionReport]:
-    """Opens a published checkpoint, see `open_network`, and says what became of its keys.
-
-    Raises:
-        CheckpointError: it can't be read, or is not of this network; without a `network`, of none.
-        ConfigError: published checkpoints of this network are not known, or the overrides can't be.
-    """
-    model, report = convert_published(path, network, channel_order, **overrides)
-    logger.info("%s: %s", os.fspath(path), report)
-    return model, report
 
 
 def _named(given: dict[str, Any]) -> list[str]:

@@ -87,9 +87,7 @@ def load_published(
 
     Weights that the published network never uses are dropped, and named in the log at level INFO.
     """
-    model, report = convert_published(path, network, channel_order, **overrides)
-    logger.info("%s: %s", os.fspath(path), report)
-    return model
+    return convert_published(path, network, channel_order, **overrides)[0]
 
 
 def convert_published(
@@ -114,7 +112,9 @@ def convert_published(
     used = {key: value for key, value in state.items() if not published.is_unused(key)}
     load_state(model, _in_our_terms(published, used, order), source)
     dropped = tuple(key for key in state if key not in used)
-    return model.eval(), ConversionReport(published.network, order, len(used), dropped, variant)
+    report = ConversionReport(published.network, order, len(used), dropped, variant)
+    logger.info("%s: %s", source, report)
+    return model.eval(), report
 
 
 def _claimant(state: Mapping[str, Tensor], network: str | None, source: str) -> Published:

@@ -10,13 +10,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from safetensors.torch import save
 from torch import Tensor
 
 from stereokit.errors import CheckpointError, ConfigError, StereoKitError
-from stereokit.files import atomic_path, make_folder
+from stereokit.files import make_folder, write_json
 from stereokit.runtime.provenance import file_sha256, state_sha256
-from stereokit.weights.folder import WEIGHTS_NAME, load_folder, write_config
+from stereokit.weights.folder import WEIGHTS_NAME, load_folder, write_config, write_weights
 from stereokit.weights.shipped import MANIFEST_NAME, Manifest, list_weights, load_weights, read_manifest
 
 if TYPE_CHECKING:
@@ -81,8 +80,7 @@ def release(
     if too_large:
         raise ConfigError(f"float16 can't hold {', '.join(too_large)}")
     make_folder(out)
-    with atomic_path(Path(out) / WEIGHTS_NAME, overwrite=False) as temporary:
-        temporary.write_bytes(save({key: value.contiguous() for key, value in state.items()}))
+    write_weights(state, Path(out), overwrite=False)
     write_config(model.config, Path(out), overwrite=False)
     manifest = Manifest(
         name=name,
@@ -94,8 +92,7 @@ def release(
         training=training,
         results=dict(results),
     )
-    with atomic_path(Path(out) / MANIFEST_NAME, overwrite=False) as temporary:
-        temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    write_json(Path(out) / MANIFEST_NAME, manifest)
     return manifest
 
 

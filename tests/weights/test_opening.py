@@ -18,9 +18,9 @@ from stereokit.weights.opening import (
     NetworkPlace,
     find_network,
     load_network,
-    open_published,
     trained_network,
 )
+from stereokit.weights.published import convert_published
 from tests.golden import published_state, save_checkpoint
 from tests.shared import needs_shared
 
@@ -147,7 +147,7 @@ def test_a_published_checkpoint_tells_its_network(tmp_path, state, network):
     assert opened.config["name"] == network
     assert opened.max_disparity == 64
     assert not opened.training
-    named, report = open_published(path, network, "bgr", max_disparity=64)
+    named, report = convert_published(path, network, "bgr", max_disparity=64)
     assert same_weights(named, opened)
     assert report.loaded == len(opened.state_dict())
     assert not same_weights(open_network(path, channel_order="rgb", max_disparity=64), opened)
