@@ -130,7 +130,7 @@ class StereoEntry:
     disparity: Source[Disparity] | None = None
     nonocc: Source[Mask] | None = None
     objects: Source[npt.NDArray[np.uint8]] | None = None
-    calibration: Source[Calibration] | None = None
+    calibration: Source[Calibration] | Calibration | None = None
     right_disparity: Source[Disparity] | None = None
     right_nonocc: Source[Mask] | None = None
     assumed_scale: Source[float | None] | None = None
@@ -146,7 +146,7 @@ class StereoEntry:
             self.right_disparity,
             self.right_nonocc,
         )
-        return (self.left, self.right, *(source.path for source in sources if source is not None))
+        return (self.left, self.right, *(source.path for source in sources if isinstance(source, Source)))
 
     def read(self) -> StereoSample:
         """Reads the pair.
@@ -174,7 +174,7 @@ class StereoEntry:
             disparity=self.disparity() if self.disparity else None,
             nonocc=self.nonocc() if self.nonocc else None,
             objects=self.objects() if self.objects else None,
-            calibration=self.calibration() if self.calibration else None,
+            calibration=self.calibration() if isinstance(self.calibration, Source) else self.calibration,
             right_disparity=self.right_disparity() if self.right_disparity else None,
             right_nonocc=self.right_nonocc() if self.right_nonocc else None,
             assumed_scale=assumed,

@@ -5,7 +5,6 @@ from pathlib import Path
 from stereokit.calibration import Calibration
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, folders_below, image_names, make_dataset
-from stereokit.data.depth import disparity_from_depth
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.npy import read_npy
 
@@ -48,21 +47,16 @@ def tartanair(root: PathLike, *, split: str = "all", difficulty: str = "all") ->
 
 
 def _entry(root: Path, trajectory: Path, frame: str) -> StereoEntry:
-    left = trajectory / "image_left" / f"{frame}_left.png"
     right_depth = trajectory / "depth_right" / f"{frame}_right_depth.npy"
     return StereoEntry(
         name=(trajectory / frame).relative_to(root).as_posix(),
-        left=left,
+        left=trajectory / "image_left" / f"{frame}_left.png",
         right=trajectory / "image_right" / f"{frame}_right.png",
         disparity=Source.within(trajectory / "depth_left", f"{frame}_left_depth.npy", _read),
-        calibration=Source(left, _camera),
+        calibration=_CAMERA,
         right_disparity=Source.optional(right_depth, _read),
     )
 
 
 def _read(path: Path) -> Disparity:
-    return disparity_from_depth(read_npy(path), fx=_CAMERA.fx, baseline=_CAMERA.baseline)
-
-
-def _camera(_: Path) -> Calibration:
-    return _CAMERA
+    return _CAMERA.disparity(read_npy(path))

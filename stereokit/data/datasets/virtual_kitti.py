@@ -7,7 +7,6 @@ import numpy as np
 from stereokit.calibration import Calibration
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, first_folder, image_names, list_folder, make_dataset
-from stereokit.data.depth import disparity_from_depth
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.images import read_samples
 from stereokit.errors import InputError, printable
@@ -60,7 +59,7 @@ def _entry(images: Path, depths: Path, place: Path, name: str) -> StereoEntry:
         left=left,
         right=right,
         disparity=Source.within(truth, depth, _read),
-        calibration=Source(left, _camera),
+        calibration=_CAMERA,
         right_disparity=Source.optional(right_truth / depth, _read),
     )
 
@@ -70,8 +69,4 @@ def _read(path: Path) -> Disparity:
     if samples.dtype != np.uint16 or samples.ndim != 2:
         raise InputError(f"{printable(path)}: expected depth in centimetres, a 16-bit grey PNG")
     depth = np.where(samples == _FARTHEST, np.nan, samples).astype(np.float64)
-    return disparity_from_depth(depth, fx=_CAMERA.fx, baseline=100 * _CAMERA.baseline)
-
-
-def _camera(_: Path) -> Calibration:
-    return _CAMERA
+    return _CAMERA.disparity(depth / 100)
