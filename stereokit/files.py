@@ -8,9 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stereokit.errors import InputError
+from stereokit.errors import InputError, printable
 
-__all__ = ["atomic_path", "check_folder", "check_free", "make_folder", "write_json"]
+__all__ = ["atomic_path", "check_folder", "check_free", "make_folder", "read_file_bytes", "write_json"]
+
+MAX_FILE_BYTES = 2**29
+"""The most that is read of one file as a whole."""
 
 
 @contextmanager
@@ -50,6 +53,28 @@ def atomic_path(path: str | os.PathLike[str], *, overwrite: bool = False) -> Ite
         raise InputError(f"{os.fspath(path)!r} can't be written: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def read_file_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
+    """The content of a regular file, or its first `limit` bytes.
+
+    Raises:
+        InputError: no such file, a folder, a device, a file that may not be read, or without a limit one of more than
+            `MAX_FILE_BYTES`.
+    """
+    name = printable(path)
+    try:
+        if not os.path.exists(path):
+            raise InputError(f"{name} does not exist")
+        if not os.path.isfile(path):
+            kind = "a folder" if os.path.isdir(path) else "a device or a pipe"
+            raise InputError(f"{name} is {kind}; expected a file")
+        if limit is None and os.path.getsize(path) > MAX_FILE_BYTES:
+            raise InputError(f"{name} has {os.path.getsize(path)} bytes; expected at most {MAX_FILE_BYTES}")
+        with open(path, "rb") as file:
+            return file.read() if limit is None else file.read(limit)
+    except OSError as error:
+        raise InputError(f"{name} can't be read: {error.strerror or error}") from error
 
 
 def write_json(path: str | os.PathLike[str], values: Mapping[str, Any], *, overwrite: bool = False) -> None:

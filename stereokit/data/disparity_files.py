@@ -22,10 +22,11 @@ from stereokit.data.disparity_png import (
     unscaled,
     write_kitti_png,
 )
-from stereokit.data.images import read_file_bytes, read_image_depth, read_samples
+from stereokit.data.images import read_image_depth, read_samples
 from stereokit.data.npy import NPY_MAGIC, read_npy, read_npz, write_npy, write_npz
 from stereokit.data.pfm import read_pfm, write_pfm
 from stereokit.errors import InputError, printable
+from stereokit.files import read_file_bytes
 
 __all__ = ["ENCODINGS", "assumed_scale", "read_disparity", "write_disparity"]
 

@@ -12,13 +12,12 @@ from stereokit.data.bit_depth import to_rgb
 from stereokit.data.image_formats import EncodedImage, read_header
 from stereokit.data.image_formats.png import PNG_MAGIC
 from stereokit.errors import InputError, printable
-from stereokit.files import atomic_path
+from stereokit.files import atomic_path, read_file_bytes
 
 __all__ = [
     "IMAGE_SUFFIXES",
     "MAX_BYTES",
     "MAX_PIXELS",
-    "read_file_bytes",
     "read_image",
     "read_image_depth",
     "read_image_size",
@@ -200,28 +199,6 @@ def write_samples(path: str | os.PathLike[str], samples: npt.NDArray[Any], *, ov
         )
     with atomic_path(path, overwrite=overwrite) as temporary:
         temporary.write_bytes(encoded.tobytes())
-
-
-def read_file_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
-    """The content of a regular file, or its first `limit` bytes.
-
-    Raises:
-        InputError: no such file, a folder, a device, a file that may not be read, or one too large to be a
-            picture of `MAX_PIXELS`.
-    """
-    name = printable(path)
-    try:
-        if not os.path.exists(path):
-            raise InputError(f"{name} does not exist")
-        if not os.path.isfile(path):
-            kind = "a folder" if os.path.isdir(path) else "a device or a pipe"
-            raise InputError(f"{name} is {kind}; expected a file")
-        if limit is None and os.path.getsize(path) > MAX_BYTES // 2:
-            raise InputError(f"{name} has {os.path.getsize(path)} bytes; expected at most {MAX_BYTES // 2}")
-        with open(path, "rb") as file:
-            return file.read() if limit is None else file.read(limit)
-    except OSError as error:
-        raise InputError(f"{name} can't be read: {error.strerror or error}") from error
 
 
 def _read_header(path: str | os.PathLike[str], data: bytes) -> EncodedImage:

@@ -18,9 +18,8 @@ from stereokit.data.disparity_arrays import (
     to_disparity,
     unknown_to_nan,
 )
-from stereokit.data.images import read_file_bytes
 from stereokit.errors import InputError, printable
-from stereokit.files import atomic_path
+from stereokit.files import atomic_path, read_file_bytes
 
 __all__ = ["NPY_MAGIC", "read_npy", "read_npz", "write_npy", "write_npz"]
 

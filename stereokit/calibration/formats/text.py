@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.errors import InputError
-from stereokit.files import atomic_path
+from stereokit.files import atomic_path, read_file_bytes
 
 __all__ = [
     "MAX_BYTES",
@@ -35,19 +35,9 @@ def read_text(path: PathLike) -> str:
     Raises:
         InputError: no such file, no regular file, one that may not be read, or more than `MAX_BYTES`.
     """
-    name = os.fspath(path)
-    try:
-        if not os.path.exists(path):
-            raise InputError(f"{name!r} does not exist")
-        if not os.path.isfile(path):
-            kind = "a folder" if os.path.isdir(path) else "a device or a pipe"
-            raise InputError(f"{name!r} is {kind}; expected a calibration file")
-        with open(path, "rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise InputError(f"{name!r} can't be read: {error.strerror or error}") from error
+    data = read_file_bytes(path, MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
-        raise InputError(f"{name!r} is no calibration: it has more than {MAX_BYTES} bytes")
+        raise InputError(f"{os.fspath(path)!r} is no calibration: it has more than {MAX_BYTES} bytes")
     wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
     return data.decode("utf-16" if wide else "utf-8-sig", errors="replace")
 

@@ -21,8 +21,9 @@ from stereokit.data.datasets.layout import (
 from stereokit.data.datasets.middlebury import read_nonocc_mask
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_files import assumed_scale, read_disparity
-from stereokit.data.images import IMAGE_SUFFIXES, read_file_bytes
+from stereokit.data.images import IMAGE_SUFFIXES
 from stereokit.errors import InputError, printable
+from stereokit.files import read_file_bytes
 from stereokit.registry import suggest
 
 __all__ = ["folder"]

@@ -21,9 +21,10 @@ from stereokit.data.datasets.layout import (
 )
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_png import read_scaled_png
-from stereokit.data.images import read_file_bytes, read_image_size, read_samples
+from stereokit.data.images import read_image_size, read_samples
 from stereokit.data.pfm import read_pfm
 from stereokit.errors import InputError, printable
+from stereokit.files import read_file_bytes
 
 __all__ = ["middlebury2014", "middlebury2021", "middlebury_older", "middlebury_v3", "read_nonocc_mask"]
 

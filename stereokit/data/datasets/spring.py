@@ -9,8 +9,8 @@ import numpy as np
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, first_folder, images_in, list_folder, make_dataset
 from stereokit.data.disparity_arrays import Disparity, PathLike, check_claimed_size, unknown_to_nan
-from stereokit.data.images import read_file_bytes
 from stereokit.errors import InputError, printable
+from stereokit.files import read_file_bytes
 
 __all__ = ["read_spring_disparity", "spring"]
 
