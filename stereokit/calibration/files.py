@@ -59,7 +59,7 @@ def read_calibration(path: PathLike, *, metres_per_unit: float | None = None) ->
             raise InputError(f"{os.fspath(path)!r} is in metres; leave out metres_per_unit={metres_per_unit}")
         with named(path):
             return Calibration.from_dict(values)
-    if text.lstrip()[:1] in ("{", "<") and text.strip():
+    if text.lstrip()[:1] in ("{", "<"):
         return read_opencv_calibration(path, metres_per_unit=unit)
     if "cam0" in keyed_lines(text, "="):
         return read_middlebury_calibration(

@@ -12,7 +12,7 @@ __all__ = ["looks_like_foundation_stereo", "read_foundation_stereo_calibration",
 def looks_like_foundation_stereo(text: str) -> bool:
     """Whether a text is two lines of numbers, nine and one."""
     lines = [line.split() for line in text.splitlines() if line.strip()]
-    return len(lines) == 2 and [len(words) for words in lines] == [9, 1]
+    return [len(words) for words in lines] == [9, 1]
 
 
 def read_foundation_stereo_calibration(path: PathLike, *, metres_per_unit: float = 1.0) -> Calibration:

@@ -35,7 +35,7 @@ def read_kitti_calibration(
     Args:
         path: the file.
         cameras: the numbers of the left and the right camera as the file writes them. By default the colour
-            pair 2 and 3, else the grey pair 0 and 1, else DrivingStereo's 101 and 103.
+            pair 2 and 3, else the grey pair 0 and 1.
         metres_per_unit: of the file's baseline.
 
     Raises:
@@ -57,12 +57,11 @@ def read_kitti_calibration(
         )
     left, right = (numbers(path, f"P{camera}", projections[camera], 12) for camera in pair)
     size = lines.get(f"S_rect_{pair[0]}")
-    width, height = (None, None) if size is None else numbers(path, "S_rect", size, 2)
     return rectified(
         path,
         left,
         right,
-        size=None if width is None or height is None else (width, height),
+        size=None if size is None else numbers(path, "S_rect", size, 2),
         metres_per_unit=metres_per_unit,
     )
 

@@ -35,7 +35,7 @@ def read_middlebury_calibration(path: PathLike, *, metres_per_unit: float = MILL
         path,
         _projection(left, 0.0),
         _projection(right, baseline),
-        size=(size[0], size[1]) if size else None,
+        size=size or None,
         metres_per_unit=metres_per_unit,
     )
 

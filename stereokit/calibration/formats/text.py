@@ -101,7 +101,7 @@ def rectified(
     left: Sequence[float],
     right: Sequence[float],
     *,
-    size: tuple[float, float] | None,
+    size: Sequence[float] | None,
     metres_per_unit: float = 1.0,
 ) -> Calibration:
     """The calibration of two projection matrices 3 x 4 of rectified cameras, row by row.
