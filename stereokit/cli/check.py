@@ -7,7 +7,6 @@ from pathlib import Path
 from stereokit.calibration import read_calibration
 from stereokit.cameras.checking import check_pair, matches_picture
 from stereokit.data.images import read_image, write_image
-from stereokit.data.inputs import to_pair
 from stereokit.files import check_free
 
 __all__ = ["add_arguments", "run"]
@@ -43,7 +42,6 @@ def run(options: argparse.Namespace) -> int:
     views = read_image(options.left), read_image(options.right)
     found = check_pair(*views, calibration, options.max_disparity)
     if options.picture is not None:
-        left, right = (view[0].permute(1, 2, 0).numpy() for view in to_pair(*views))
-        write_image(options.picture, matches_picture(found, left, right), overwrite=options.overwrite)
+        write_image(options.picture, matches_picture(found, *views), overwrite=options.overwrite)
     print(json.dumps(found.to_dict(), indent=2) if options.json else found)
     return EXIT_CODES[found.severity]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.data.disparity_arrays import Disparity, PathLike, to_disparity
-from stereokit.data.images import read_samples, write_samples
+from stereokit.data.images import first_channel, read_samples, write_samples
 from stereokit.errors import InputError, printable
 
 __all__ = [
@@ -104,7 +104,7 @@ def read_scaled_png(path: PathLike, *, scale: float) -> Disparity:
         raise InputError(f"{printable(path)} holds disparity itself, which has no scale; leave out scale={scale:g}")
     if not is_grey(samples):
         raise InputError(f"{printable(path)} is a colour image; expected grey, of disparity * {scale:g}")
-    return unscaled(samples if samples.ndim == 2 else samples[:, :, 0], scale)
+    return unscaled(first_channel(samples), scale)
 
 
 def read_sintel_png(path: PathLike) -> Disparity:

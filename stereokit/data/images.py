@@ -18,6 +18,7 @@ __all__ = [
     "IMAGE_SUFFIXES",
     "MAX_BYTES",
     "MAX_PIXELS",
+    "first_channel",
     "read_image",
     "read_image_depth",
     "read_image_size",
@@ -119,6 +120,15 @@ def read_samples(path: str | os.PathLike[str], *, floating: bool = False) -> npt
     if samples.dtype.kind == "f" and not floating:
         raise InputError(f"{printable(path)} holds {samples.dtype} samples; expected 8 or 16 bits per sample")
     return samples
+
+
+def first_channel(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The samples (H, W) of a grey map, which some files repeat in several channels.
+
+    >>> first_channel(np.ones((2, 3, 3), np.uint8)).shape, first_channel(np.ones((2, 3), np.uint8)).shape
+    ((2, 3), (2, 3))
+    """
+    return samples if samples.ndim == 2 else samples[:, :, 0]
 
 
 def read_stored(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], int | None]:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy.typing as npt
 import torch
-import torch.distributed
 from torch import Tensor
 
 from stereokit.errors import InputError

@@ -1,7 +1,6 @@
 """The measures of one pair or batch: EPE, bad-tau, D1, and predictions that are not finite."""
 
 import torch
-import torch.distributed
 from torch import Tensor
 
 from stereokit.metrics.known import absolute_error, checked_tau, is_outlier

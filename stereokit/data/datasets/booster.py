@@ -7,7 +7,7 @@ import numpy as np
 from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDataset, StereoEntry
 from stereokit.data.datasets.layout import check_choice, first_folder, image_names, list_folder, make_dataset
 from stereokit.data.disparity_arrays import PathLike
-from stereokit.data.images import read_samples
+from stereokit.data.images import first_channel, read_samples
 from stereokit.data.npy import read_npy
 
 __all__ = ["booster"]
@@ -53,5 +53,5 @@ def booster(root: PathLike, *, split: str = "train") -> StereoDataset:
 
 def _read_mask(path: Path) -> Mask:
     samples = read_samples(path)
-    mask: Mask = (samples if samples.ndim == 2 else samples[:, :, 0]) > np.iinfo(samples.dtype).max // 2
+    mask: Mask = first_channel(samples) > np.iinfo(samples.dtype).max // 2
     return mask

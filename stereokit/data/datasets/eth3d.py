@@ -4,7 +4,7 @@ from pathlib import Path
 
 from stereokit.calibration.formats.middlebury import read_middlebury_calibration
 from stereokit.data.datasets.dataset import DATASETS, Source, StereoDataset, StereoEntry
-from stereokit.data.datasets.layout import check_choice, first_folder, list_folder, make_dataset
+from stereokit.data.datasets.layout import check_choice, first_folder, list_folder, make_dataset, scenes_of
 from stereokit.data.datasets.middlebury import read_nonocc_mask
 from stereokit.data.disparity_arrays import PathLike
 from stereokit.data.pfm import read_pfm
@@ -37,8 +37,7 @@ def eth3d(root: PathLike, *, split: str = "training") -> StereoDataset:
     truths = first_folder([root / f"two_view_{split}_gt"])
     entries = [
         _entry(scene, truths / scene.name if truths else None)
-        for scene in (list_folder(folder) if folder else [])
-        if (scene / "im0.png").is_file() or (scene / "im1.png").is_file()
+        for scene in scenes_of(list_folder(folder) if folder else [])
     ]
     return make_dataset("eth3d", root, split, entries, expected=[f"two_view_{split}/delivery_area_1l/im0.png"])
 

@@ -124,6 +124,7 @@ def _from_parallel_folders(root: Path, reader: _TruthReader) -> Iterator[StereoE
     truth_folder = first_folder([root / "disparity" / "left", root / "disparity"])
     truths = _by_stem(truth_folder) if truth_folder else {}
     lefts, rights, masks = (_by_stem(root / part) for part in ("left", "right", "nonocc"))
+    calibration = _calibration(root)
     for stem in sorted(lefts.keys() | rights.keys()):
         # A file that should be there and is not keeps its likely name, so that the error can say it.
         truth = truths.get(stem, truth_folder / f"{stem}.pfm") if truth_folder else None
@@ -135,7 +136,7 @@ def _from_parallel_folders(root: Path, reader: _TruthReader) -> Iterator[StereoE
             disparity=disparity,
             assumed_scale=scale,
             nonocc=Source(masks[stem], read_nonocc_mask) if stem in masks else None,
-            calibration=_calibration(root),
+            calibration=calibration,
         )
 
 

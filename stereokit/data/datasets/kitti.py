@@ -29,7 +29,7 @@ from stereokit.data.datasets.layout import (
 )
 from stereokit.data.disparity_arrays import PathLike
 from stereokit.data.disparity_png import is_grey, read_kitti_png
-from stereokit.data.images import read_samples
+from stereokit.data.images import first_channel, read_samples
 from stereokit.errors import InputError, printable
 
 __all__ = ["is_validation_frame", "kitti2012", "kitti2015", "kitti_raw"]
@@ -197,4 +197,4 @@ def _read_objects(path: Path) -> npt.NDArray[np.uint8]:
     samples = read_samples(path)
     if samples.dtype != np.uint8 or not is_grey(samples):
         raise InputError(f"{printable(path)}: expected an object map, an 8-bit grey PNG")
-    return samples if samples.ndim == 2 else samples[:, :, 0]
+    return first_channel(samples)

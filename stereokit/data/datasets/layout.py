@@ -20,6 +20,7 @@ __all__ = [
     "is_visible",
     "list_folder",
     "make_dataset",
+    "scenes_of",
 ]
 
 
@@ -76,6 +77,11 @@ def is_visible(path: Path, root: Path) -> bool:
 def image_names(left: Path, right: Path) -> list[str]:
     """The names of the images in either of two folders, sorted, so that a missing view is noticed."""
     return sorted({path.name for folder in (left, right) for path in images_in(folder)})
+
+
+def scenes_of(folders: Iterable[Path]) -> list[Path]:
+    """Those of the folders that hold `im0.png` or `im1.png`, so that a missing view is noticed."""
+    return [folder for folder in folders if (folder / "im0.png").is_file() or (folder / "im1.png").is_file()]
 
 
 def check_number(what: str, given: float | str) -> float:

@@ -18,10 +18,11 @@ from stereokit.data.datasets.layout import (
     images_in,
     list_folder,
     make_dataset,
+    scenes_of,
 )
 from stereokit.data.disparity_arrays import Disparity, PathLike
 from stereokit.data.disparity_png import read_scaled_png
-from stereokit.data.images import read_image_size, read_samples
+from stereokit.data.images import first_channel, read_image_size, read_samples
 from stereokit.data.pfm import read_pfm
 from stereokit.errors import InputError, printable
 from stereokit.files import read_file_bytes
@@ -73,8 +74,7 @@ def middlebury_v3(root: PathLike, *, split: str = "training", resolution: str = 
     entries = [
         _entry(scene, scene.name, "disp0GT.pfm", required=split == "training")
         for folder in (root / part, root / "MiddEval3" / part)
-        for scene in list_folder(folder)
-        if (scene / "im0.png").is_file() or (scene / "im1.png").is_file()
+        for scene in scenes_of(list_folder(folder))
     ]
     return make_dataset("middlebury_v3", root, split, entries, expected=[f"{part}/Adirondack/im0.png"])
 
@@ -95,9 +95,7 @@ def middlebury2014(root: PathLike, *, split: str = "all") -> StereoDataset:
     root = Path(root)
     check_choice("split", split, ("all",))
     entries = [
-        _entry(scene, scene.name, "disp0.pfm", required=False)
-        for scene in [root, *list_folder(root)]
-        if (scene / "im0.png").is_file() or (scene / "im1.png").is_file()
+        _entry(scene, scene.name, "disp0.pfm", required=False) for scene in scenes_of([root, *list_folder(root)])
     ]
     return make_dataset("middlebury2014", root, split, entries, expected=["Adirondack-perfect/im0.png"])
 
@@ -121,8 +119,7 @@ def middlebury2021(root: PathLike, *, split: str = "all") -> StereoDataset:
     check_choice("split", split, ("all",))
     entries = [
         _entry(scene, scene.name, "disp0.pfm", required=False)
-        for scene in list_folder(first_folder([root / "data"]) or root)
-        if (scene / "im0.png").is_file() or (scene / "im1.png").is_file()
+        for scene in scenes_of(list_folder(first_folder([root / "data"]) or root))
     ]
     return make_dataset("middlebury2021", root, split, entries, expected=["artroom1/im0.png"])
 
@@ -164,8 +161,7 @@ def read_nonocc_mask(path: Path) -> Mask:
 
     Other values are 128 for occluded and 0 for unknown.
     """
-    samples = read_samples(path)
-    mask: Mask = (samples if samples.ndim == 2 else samples[:, :, 0]) == 255
+    mask: Mask = first_channel(read_samples(path)) == 255
     return mask
 
 

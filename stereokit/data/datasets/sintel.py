@@ -7,7 +7,7 @@ from stereokit.data.datasets.dataset import DATASETS, Mask, Source, StereoDatase
 from stereokit.data.datasets.layout import check_choice, first_folder, image_names, list_folder, make_dataset
 from stereokit.data.disparity_arrays import PathLike
 from stereokit.data.disparity_png import read_sintel_png
-from stereokit.data.images import read_samples
+from stereokit.data.images import first_channel, read_samples
 from stereokit.errors import InputError, printable
 
 __all__ = ["sintel"]
@@ -63,5 +63,4 @@ def _read_nonocc(path: Path, *, outside: Path) -> Mask:
 
 
 def _read_set(path: Path) -> Mask:
-    samples = read_samples(path)
-    return (samples if samples.ndim == 2 else samples[:, :, 0]) > 0
+    return first_channel(read_samples(path)) > 0
