@@ -9,8 +9,8 @@ import torch
 
 from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.metadata import ExportMetadata
-from stereokit.backends.optional import import_optional
 from stereokit.errors import CheckpointError, ConfigError
+from stereokit.runtime.optional import import_optional
 
 __all__ = ["OnnxRuntimeBackend"]
 

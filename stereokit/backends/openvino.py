@@ -9,9 +9,9 @@ import torch
 
 from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.metadata import KEY, ExportMetadata
-from stereokit.backends.optional import import_optional
 from stereokit.backends.signal_stack import kept_signal_stack
 from stereokit.errors import CheckpointError, ConfigError
+from stereokit.runtime.optional import import_optional
 
 __all__ = ["OpenVinoBackend"]
 

@@ -9,13 +9,13 @@ from torch import nn
 
 from stereokit.backends.metadata import KEY, ExportMetadata, describe_network
 from stereokit.backends.onnxruntime import OnnxRuntimeBackend
-from stereokit.backends.optional import import_optional
 from stereokit.errors import ConfigError
 from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
 from stereokit.export.graph import ExportGraph, naming_block, trace
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
 from stereokit.files import atomic_path
+from stereokit.runtime.optional import import_optional
 
 __all__ = ["OPSETS", "export_onnx", "to_onnx"]
 

@@ -10,7 +10,6 @@ from torch import nn
 
 from stereokit.backends.metadata import KEY, ExportMetadata
 from stereokit.backends.openvino import OpenVinoBackend
-from stereokit.backends.optional import import_optional
 from stereokit.backends.signal_stack import kept_signal_stack
 from stereokit.errors import ConfigError
 from stereokit.export.checking import Pair, check_exact, check_pairs, check_size, compare
@@ -19,6 +18,7 @@ from stereokit.export.quantization import quantize
 from stereokit.export.report import ExportReport
 from stereokit.export.target import check_target, on_cpu
 from stereokit.files import atomic_path
+from stereokit.runtime.optional import import_optional
 
 __all__ = ["PRECISIONS", "export_openvino"]
 

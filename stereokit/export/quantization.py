@@ -4,9 +4,9 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
-from stereokit.backends.optional import import_optional
 from stereokit.export.checking import Pair
 from stereokit.layers.casting import as_float
+from stereokit.runtime.optional import import_optional
 
 __all__ = ["outside_convolutions", "quantize"]
 

@@ -1,12 +1,11 @@
 """LAS 1.4 of the ASPRS, through laspy (the extra `las`)."""
 
-import importlib
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from stereokit.errors import ConfigError
+from stereokit.runtime.optional import import_optional
 
 __all__ = ["write_las"]
 
@@ -31,13 +30,7 @@ def write_las(
 
     Source: ASPRS, LAS Specification 1.4 - R15.
     """
-    try:
-        laspy = importlib.import_module("laspy")
-    except ImportError as error:
-        raise ConfigError(
-            f"point clouds as .las need the package laspy, which can't be imported here ({error}); "
-            "pip install 'stereokit[las]' installs it, or write .ply or .pcd"
-        ) from error
+    laspy = import_optional("laspy", "a point cloud as .las, unlike .ply and .pcd,")
     header = laspy.LasHeader(version="1.4", point_format=_POINT_FORMAT)
     exact = points.astype(np.float64) if len(points) else np.zeros((1, 3))
     header.scales = np.maximum(_STEP, np.ptp(exact, axis=0) / _MOST_STEPS)

@@ -1,4 +1,4 @@
-"""Packages that only some backends need, imported when they are used."""
+"""Packages that only some users need, imported when they are used."""
 
 import importlib
 from types import ModuleType
@@ -13,6 +13,7 @@ EXTRAS = {
     "onnxruntime": "onnx",
     "openvino": "openvino",
     "nncf": "openvino",
+    "laspy": "las",
 }
 """The extra of stereokit that installs a package."""
 
