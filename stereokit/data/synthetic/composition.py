@@ -1,23 +1,23 @@
 """What is in a random scene: a room, a street, a table or a heap of things."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stereokit.data.synthetic.patterns import TILE
+from stereokit.data.synthetic.random_shapes import clipped_normal, ripples, solid_shape, thin_shape
 from stereokit.data.synthetic.scene import Layer, Reflection, Scene
-from stereokit.data.synthetic.shapes import Blob, Box, Ellipse, Lattice, Polygon, Shape, Wire
+from stereokit.data.synthetic.settings import random_setting
+from stereokit.data.synthetic.shapes import Box, Ellipse, Shape
 from stereokit.data.synthetic.surfaces import Surface, Wave
-from stereokit.data.synthetic.textures import Ground, TextureBank
+from stereokit.data.synthetic.textures import TextureBank
 from stereokit.errors import ConfigError
 
 __all__ = ["Composition"]
 
 Generator = np.random.Generator
 
-_STEEPEST_WALL = 0.7
 _SMALLEST_RANGE = 4.0
 
 
@@ -75,8 +75,7 @@ class Composition:
         if self.range_exponent:
             largest = max(self.max_disparity * rng.uniform() ** self.range_exponent, _SMALLEST_RANGE)
             return replace(self, max_disparity=largest, range_exponent=0.0).scene(rng, bank)
-        setting = _SETTINGS[rng.choice(len(_SETTINGS), p=_HOW_OFTEN)]
-        backdrop = setting(self, rng, bank)
+        backdrop = random_setting(self, rng, bank)
         things: list[Layer] = []
         for _ in range(int(rng.integers(self.objects[0], self.objects[1] + 1))):
             things += self._thing(rng, bank, backdrop)
@@ -148,7 +147,7 @@ class Composition:
             disparity = behind + (self.max_disparity - behind) * rng.uniform() ** 2
         if is_thin and rng.random() < 0.25:
             return self._plant(rng, bank, (u, v), disparity)
-        shape = _thin_shape(rng, height, width) if is_thin else _solid_shape(rng, height, width)
+        shape = thin_shape(rng, height, width) if is_thin else solid_shape(rng, height, width)
         if rng.random() < 0.4:  # stands on what is below it
             v = min(v, height) - shape.extent[1] * rng.uniform(0.3, 1.0)
         surface = self._relief(rng, shape, (u, v), disparity, flat=is_thin)
@@ -163,14 +162,14 @@ class Composition:
     ) -> Surface:
         half_width, half_height = shape.extent
         kind = rng.choice(3, p=(0.35, 0.35, 0.3)) if not flat else int(rng.random() < 0.3)
-        slope = (0.0, 0.0) if kind == 0 else (_normal(rng, 0.12, 0.4), _normal(rng, 0.12, 0.4))
+        slope = (0.0, 0.0) if kind == 0 else (clipped_normal(rng, 0.12, 0.4), clipped_normal(rng, 0.12, 0.4))
         bend, reach = (0.0, 0.0), 0.0
         waves: tuple[Wave, ...] = ()
         if kind == 2 and rng.random() < 0.5:
             reach = half_width
-            bend = _normal(rng, 0.1, 0.17) / half_width, _normal(rng, 0.1, 0.2) / half_height
+            bend = clipped_normal(rng, 0.1, 0.17) / half_width, clipped_normal(rng, 0.1, 0.2) / half_height
         elif kind == 2:
-            waves = _ripples(rng)
+            waves = ripples(rng)
         surface = Surface(centre, disparity, slope, bend, reach, waves)
         return self.fitted(surface, half_width + 2, half_height + 2)
 
@@ -196,163 +195,14 @@ class Composition:
         texture = bank.texture(rng, plain=0.4)
         leaves = []
         for _ in range(int(rng.integers(4, 9))):
-            half, angle = height * rng.uniform(0.08, 0.25), _normal(rng, 0.7, 1.5) - math.pi / 2
+            half, angle = height * rng.uniform(0.08, 0.25), clipped_normal(rng, 0.7, 1.5) - math.pi / 2
             shape = Ellipse(half, max(half * rng.uniform(0.04, 0.25), 0.8), angle)
             centre = foot[0] + half * math.cos(angle), foot[1] + half * math.sin(angle)
             near = min(disparity * rng.uniform(0.85, 1.15), self.max_disparity)
-            slope = _normal(rng, 0.1, 0.3), _normal(rng, 0.1, 0.3)
+            slope = clipped_normal(rng, 0.1, 0.3), clipped_normal(rng, 0.1, 0.3)
             surface = self.fitted(Surface(centre, near, slope), *(side + 2 for side in shape.extent))
             leaves.append(Layer(surface, replace(texture, origin=tuple(rng.uniform(0, 500, 2))), shape))
         return leaves
-
-
-def _room(of: Composition, rng: Generator, bank: TextureBank) -> tuple[Layer, ...]:
-    """A far wall with a floor, and now and then a ceiling and walls to the sides."""
-    height, width = of.size
-    wall = of.max_disparity * rng.uniform(0.02, 0.5)
-    slope = _normal(rng, 0.06, 0.25), _normal(rng, 0.05, 0.2)
-    waves = _ripples(rng) if rng.random() < 0.2 else ()
-    far = of.backdrop(Surface((width / 2, height / 2), wall, slope, waves=waves))
-    layers = [Layer(far, bank.texture(rng, plain=0.3))]
-    foot = height * rng.uniform(0.4, 0.9)
-    near = wall + (of.max_disparity - wall) * rng.uniform(0.2, 0.9)
-    layers.append(_floor(of, bank, rng, row=foot, far=wall, near=near))
-    if rng.random() < 0.3:
-        top = height * rng.uniform(0.05, 0.3)
-        above = Surface((width / 2, top), wall, (0.0, -rng.uniform(0.1, 0.9) * (of.max_disparity - wall) / height))
-        layers.append(Layer(_below(of, above), bank.texture(rng, plain=0.5)))
-    for side in (-1, 1):
-        if rng.random() < 0.3:
-            column = width * (0.5 + side * rng.uniform(0.15, 0.45))
-            steep = min(rng.uniform(0.1, 1) * (of.max_disparity - wall) / (width / 4), _STEEPEST_WALL)
-            beside = Surface((column, height / 2), wall, (side * steep, 0.0))
-            layers.append(Layer(_below(of, beside), bank.texture(rng, plain=0.3)))
-    return tuple(layers)
-
-
-def _street(of: Composition, rng: Generator, bank: TextureBank) -> tuple[Layer, ...]:
-    """Sky at next to no disparity, a road that runs to the horizon, and fronts of houses."""
-    height, width = of.size
-    # not quite 0, which stands for unknown
-    sky = Surface((0.0, 0.0), max(float(rng.uniform(0, 0.6) * (rng.random() < 0.6)), 0.01))
-    horizon = height * rng.uniform(0.25, 0.65)
-    layers = [Layer(sky, bank.sky(rng))]
-    near = of.max_disparity * rng.uniform(0.3, 0.95)
-    layers.append(_floor(of, bank, rng, row=horizon, far=0.0, near=near))
-    for _ in range(int(rng.integers(0, 5))):
-        half = width * math.exp(rng.uniform(math.log(0.04), math.log(0.3)))
-        u = rng.uniform(0, width)
-        top = horizon - height * rng.uniform(0.02, 0.6)
-        foot = horizon + rng.uniform(0.01, 0.4) * (height - horizon)
-        shape = Box(half, (foot + 20 - top) / 2)
-        disparity = near * (foot - horizon) / (height - horizon)
-        slope = (
-            (np.sign(u - width / 2) * rng.uniform(0, 0.9) * disparity / half, 0.0) if rng.random() < 0.5 else (0.0, 0.0)
-        )
-        slope = (float(np.clip(slope[0], -_STEEPEST_WALL, _STEEPEST_WALL)), 0.0)
-        surface = Surface((u, (top + foot + 20) / 2), disparity, slope)
-        layers.append(Layer(of.fitted(surface, half + 2, shape.half_height + 2), bank.texture(rng, plain=0.2), shape))
-    return tuple(layers)
-
-
-def _table(of: Composition, rng: Generator, bank: TextureBank) -> tuple[Layer, ...]:
-    """One slanted ground all over, flat or uneven, seen from above or from nearby."""
-    height, width = of.size
-    top, bottom = np.sort(rng.uniform(0.05, 0.8, 2)) * of.max_disparity
-    if rng.random() < 0.15:
-        top, bottom = bottom, top
-    waves = _ripples(rng) if rng.random() < 0.35 else ()
-    slope = _normal(rng, 0.05, 0.2), float(bottom - top) / height
-    surface = of.backdrop(Surface((width / 2, height / 2), float(top + bottom) / 2, slope, waves=waves))
-    return (Layer(surface, bank.texture(rng)),)
-
-
-def _heap(of: Composition, rng: Generator, bank: TextureBank) -> tuple[Layer, ...]:
-    """A far board, and things before it anywhere."""
-    height, width = of.size
-    slope = _normal(rng, 0.08, 0.3), _normal(rng, 0.08, 0.3)
-    far = Surface((width / 2, height / 2), of.max_disparity * rng.uniform(0, 0.4), slope)
-    return (Layer(of.backdrop(far), bank.texture(rng, plain=0.25)),)
-
-
-_SETTINGS: tuple[Callable[[Composition, Generator, TextureBank], tuple[Layer, ...]], ...] = (
-    _room,
-    _street,
-    _table,
-    _heap,
-)
-_HOW_OFTEN = (0.3, 0.3, 0.25, 0.15)
-
-
-def _floor(of: Composition, bank: TextureBank, rng: Generator, *, row: float, far: float, near: float) -> Layer:
-    """A ground of disparity `far` at a row and `near` at the lower border."""
-    height, width = of.size
-    steep = (near - far) / (height - row)
-    surface = _below(of, Surface((width / 2, row), far, (_normal(rng, 0.01, 0.04), steep)))
-    steep = surface.slope[1]
-    ground = Ground(far + steep * (height - row), width / 2, row - far / steep, height - row + far / steep)
-    return Layer(surface, bank.texture(rng, plain=0.25, ground=ground))
-
-
-def _below(of: Composition, surface: Surface) -> Surface:
-    """A plane that stays below the largest disparity. Where it falls below 0 something else must stand before it."""
-    u0, v0 = surface.centre
-    b, c = surface.slope
-    high = max(b * (of.wide - u0), -b * u0) + max(c * (of.size[0] - v0), -c * v0)
-    room = of.max_disparity - surface.disparity
-    part = min(1.0, 0.999 * room / high) if high > 0 else 1.0
-    return replace(surface, slope=(part * b, part * c))
-
-
-def _solid_shape(rng: Generator, height: int, width: int) -> Shape:
-    half_width = width * math.exp(rng.uniform(math.log(0.02), math.log(0.25)))
-    half_height = min(half_width * math.exp(rng.normal(0, 0.5)), 0.6 * height)
-    turned = float(rng.uniform(-math.pi, math.pi)) if rng.random() < 0.5 else 0.0
-    kind = rng.choice(5, p=(0.35, 0.25, 0.15, 0.07, 0.18))
-    if kind == 0:
-        return Box(half_width, half_height, turned)
-    if kind == 1:
-        corners = int(rng.integers(3, 8))
-        turns = 2 * math.pi * (np.arange(corners) + rng.uniform(-0.2, 0.2, corners)) / corners + turned
-        stretch = np.hypot(half_width * np.cos(turns), half_height * np.sin(turns))
-        return Polygon(tuple(map(float, turns)), tuple(map(float, stretch)))
-    if kind == 2:
-        return Ellipse(half_width, half_height, turned)
-    if kind == 3:
-        return Ellipse(half_width, half_height, turned, hole=float(rng.uniform(0.3, 0.9)))
-    lobes = tuple(
-        (int(k), float(rng.normal(0, 0.25 / k)), float(rng.uniform(0, 6.3))) for k in rng.choice(np.arange(2, 10), 3)
-    )
-    return Blob(min(half_width, half_height), lobes)
-
-
-def _thin_shape(rng: Generator, height: int, width: int) -> Shape:
-    kind = rng.choice(3, p=(0.45, 0.25, 0.3))
-    thickness = math.exp(rng.uniform(math.log(1.0), math.log(9.0)))
-    length = height * rng.uniform(0.15, 0.9)
-    if kind == 0:
-        upright = rng.random() < 0.6
-        angle = _normal(rng, 0.08, 0.3) if upright else float(rng.uniform(-math.pi, math.pi))
-        return Box(thickness / 2, length, angle)
-    if kind == 1:
-        swing, frequency = height * rng.uniform(0.005, 0.08), 2 * math.pi / (height * rng.uniform(0.3, 1.5))
-        return Wire(length, max(thickness / 4, 0.5), swing, frequency, float(rng.uniform(-math.pi, math.pi)))
-    half_width = width * math.exp(rng.uniform(math.log(0.05), math.log(0.25)))
-    period = math.exp(rng.uniform(math.log(8), math.log(50)))
-    bar = max(period * rng.uniform(0.08, 0.5), 1.0)
-    angle = 0.0 if rng.random() < 0.6 else float(rng.uniform(-math.pi, math.pi))
-    return Lattice(half_width, height * rng.uniform(0.08, 0.45), period, bar, bool(rng.random() < 0.5), angle)
-
-
-def _ripples(rng: Generator) -> tuple[Wave, ...]:
-    waves = []
-    count = int(rng.integers(1, 4))
-    for _ in range(count):
-        frequency, direction = 2 * math.pi / math.exp(rng.uniform(math.log(25), math.log(300))), rng.uniform(0, math.pi)
-        amplitude = min(rng.uniform(0.05, 0.35) / count / frequency, 8.0)
-        across, down = frequency * math.cos(direction), frequency * math.sin(direction)
-        waves.append(Wave(float(amplitude), float(across), float(down), float(rng.uniform(0, 2 * math.pi))))
-    return tuple(waves)
 
 
 def _flattened(surface: Surface, part: float) -> Surface:
@@ -362,10 +212,6 @@ def _flattened(surface: Surface, part: float) -> Surface:
         bend=(part * surface.bend[0], part * surface.bend[1]),
         waves=tuple(replace(wave, amplitude=part * wave.amplitude) for wave in surface.waves),
     )
-
-
-def _normal(rng: Generator, deviation: float, most: float) -> float:
-    return float(np.clip(rng.normal(0, deviation), -most, most))
 
 
 def _point(value: float) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
