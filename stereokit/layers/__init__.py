@@ -12,6 +12,7 @@ from stereokit.layers.convolution import (
     relu,
 )
 from stereokit.layers.inverted_residual import InvertedResidual
+from stereokit.layers.pooling import cell_means, tent_means
 from stereokit.layers.residual import ResidualBlock, residual_layer
 from stereokit.layers.up_step import UpStep
 from stereokit.layers.warp import warp
@@ -25,11 +26,13 @@ __all__ = [
     "UpStep",
     "as_float",
     "at_least_float32",
+    "cell_means",
     "crop_to",
     "init_convolutions",
     "leaky_relu",
     "named_activation",
     "relu",
     "residual_layer",
+    "tent_means",
     "warp",
 ]

@@ -2,15 +2,20 @@
 
 from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
 from stereokit.models.coex import coex
+from stereokit.models.crl import CRL
 from stereokit.models.dispnetc import DispNetC
 from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
 from stereokit.models.lightstereo import lightstereo_l, lightstereo_m, lightstereo_s
 from stereokit.models.psmnet import psmnet
+from stereokit.models.segstereo import ResNetCorr, SegStereo
 from stereokit.models.stereonet import stereonet_8x, stereonet_16x
 
 __all__ = [
+    "CRL",
     "DispNetC",
+    "ResNetCorr",
+    "SegStereo",
     "casstereo_gwc",
     "casstereo_psm",
     "coex",

@@ -78,14 +78,25 @@ class Encoder(nn.Module):
 
 
 class UpLevel(nn.Module):
-    """Doubles the map and the disparity, merges the skip, and predicts anew."""
+    """Doubles the map and the disparity, merges the skip, and predicts anew.
 
-    def __init__(self, in_channels: int, skip_channels: int, width: int) -> None:
+    Args:
+        in_channels: of the map.
+        skip_channels: of the skip.
+        width: channels of the map once it is doubled.
+        merged: channels of the output; `width` by default.
+        bias: of what doubles.
+    """
+
+    def __init__(
+        self, in_channels: int, skip_channels: int, width: int, *, merged: int | None = None, bias: bool = False
+    ) -> None:
         super().__init__()
-        self.up = conv(in_channels, width, 4, stride=2, transposed=True, bias=False)
-        self.up_disparity = nn.ConvTranspose2d(1, 1, 4, stride=2, padding=1, bias=False)
-        self.merge = conv(skip_channels + width + 1, width, activation=None)
-        self.predict = nn.Conv2d(width, 1, 3, padding=1)
+        merged = width if merged is None else merged
+        self.up = conv(in_channels, width, 4, stride=2, transposed=True, bias=bias)
+        self.up_disparity = nn.ConvTranspose2d(1, 1, 4, stride=2, padding=1, bias=bias)
+        self.merge = conv(skip_channels + width + 1, merged, activation=None)
+        self.predict = nn.Conv2d(merged, 1, 3, padding=1)
 
     def forward(self, x: Tensor, disparity: Tensor, skip: Tensor) -> tuple[Tensor, Tensor]:
         """Map (B, C, h, w) and disparity (B, 1, h, w) to those of twice the size."""

@@ -174,6 +174,17 @@ CASES: dict[str, Case] = {
         loss="l1",
         size=(64, 128),
     ),
+    "crl": Case(
+        parameters=78_765_599, golden="published for Caffe, with layers for GPUs alone", loss="l1", size=(64, 128)
+    ),
+    # its classifier of 4,883 weights is left out
+    "segstereo": Case(
+        parameters=60_803_252 - 4_883,
+        golden="published for Caffe, with layers for GPUs alone",
+        loss="l1",
+        rounding=0.3,  # with random weights, float32 and float64 differ by 0.02 px in the mean
+    ),
+    "resnetcorr": Case(parameters=37_214_369, golden="published for Caffe, with layers for GPUs alone", loss="l1"),
 }
 
 

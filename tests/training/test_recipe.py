@@ -32,7 +32,7 @@ def test_every_recipe_loads_and_survives_json(name):
     assert Recipe.from_dict(json.loads(json.dumps(recipe.to_dict()))) == recipe
     assert recipe.scenes or recipe.data
     options = {key: value for key, value in recipe.model.items() if key not in ("name", "pretrained_backbone")}
-    assert build_model(recipe.model["name"], **options).auxiliary_weights
+    assert build_model(recipe.model["name"], **options).loss_weights
 
 
 @pytest.mark.parametrize("key", ["seed", "textures"])
