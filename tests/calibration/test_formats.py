@@ -16,6 +16,7 @@ from stereokit.calibration.formats.ros import read_ros_calibration
 from stereokit.calibration.formats.yaml_subset import parse_yaml
 from stereokit.cameras import Calibration, read_calibration, write_calibration
 from stereokit.errors import InputError
+from tests.calibration.drawn import cameras
 from tests.data.hostile import damaged, outcome
 from tests.shared import SHARED, needs_shared
 
@@ -89,16 +90,7 @@ def yaml_matrix(key, rows, columns):
     return f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ 1. ]\n"
 
 
-CAMERAS = st.builds(
-    Calibration,
-    fx=st.floats(50, 5000),
-    baseline=st.floats(0.01, 2),
-    cx0=st.floats(1, 3000),
-    cx1=st.floats(1, 3000),
-    width=st.integers(1, 5000),
-    height=st.integers(1, 5000),
-    cy=st.just(200.0),
-)
+CAMERAS = cameras(width=st.integers(1, 5000), height=st.integers(1, 5000), cy=st.just(200.0))
 CAMERA = Calibration(fx=700.5, baseline=0.5, cx0=320.25, cx1=330.5, width=640, height=480, cy=200.0)
 
 
@@ -152,10 +144,7 @@ def test_units(tmp_path):
     assert read_calibration(tmp_path / "a.txt", metres_per_unit=1).baseline == pytest.approx(500)
 
 
-FULL_CAMERAS = st.builds(
-    Calibration,
-    fx=st.floats(50, 5000),
-    baseline=st.floats(0.01, 2),
+FULL_CAMERAS = cameras(
     cx0=st.floats(-100, 3000),
     cx1=st.floats(-100, 3000),
     fy=st.floats(50, 5000),

@@ -2,7 +2,6 @@
 
 import io
 import json
-import struct
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from stereokit.data.npy import read_npy, read_npz
 from stereokit.data.pfm import read_pfm
 from stereokit.weights.folder import load_folder
 from stereokit.weights.published import load_published
-from tests.data.encoded import animated_png, encode, png, tiff
+from tests.data.encoded import animated_png, chunk, encode, png, tiff
 from tests.fuzz.mutate import mutated, with_checksums
 
 __all__ = ["FILES", "KINDS", "LIBRARY", "Kind"]
@@ -96,9 +95,8 @@ def _zipped(method: int, name: str = "disparity.npy", array: Any = MAP) -> bytes
 
 
 def _pngs() -> list[bytes]:
-    palette = struct.pack(">I", 6) + b"PLTE" + bytes(range(6)) + bytes(4)
     images = [encode(".png", samples) for samples in (PICTURE, GREY, DEEP, ALPHA)]
-    return [*images, animated_png(), png(2, 2, 8, 3, b"\0\0\1\0\1\0", with_checksums(bytes(8) + palette)[8:])]
+    return [*images, animated_png(), png(2, 2, 8, 3, b"\0\0\1\0\1\0", chunk(b"PLTE", bytes(range(6))))]
 
 
 def _jpegs() -> list[bytes]:

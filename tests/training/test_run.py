@@ -33,10 +33,27 @@ from tests.training.tiny import TINY
 
 REPOSITORY = Path(__file__).parents[2]
 CPU = Machine(accelerator="cpu", devices=1, workers=0)
+FROM_FILES = """
+[model]
+name = "coex"
+max_disparity = 32
+[augmentation]
+crop_height = 32
+crop_width = 64
+[schedule]
+batch = 2
+epochs = 1
+"""
 
 
 def on_cpu(**settings):
     return replace(CPU, **settings)
+
+
+def rendered_pairs(folder, count, split="train"):
+    """The data set of so many pairs, written below the folder."""
+    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=count), folder / "data", split=split)
+    return f"sceneflow/{split}:{folder / 'data'}"
 
 
 @pytest.fixture(autouse=True)
@@ -365,9 +382,9 @@ def test_only_the_run_that_is_there_is_resumed(tmp_path):
         train(TINY, run, seed=1, resume=True, machine=CPU)
     with pytest.raises(ConfigError, match=r"schedule.batch 2, not 4"):
         train(with_length(TINY, batch=4), run, resume=True, machine=CPU)
-    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=1), tmp_path / "data", split="test")
+    data = rendered_pairs(tmp_path, 1, split="test")
     with pytest.raises(ConfigError, match=r"was started with validate \[\], not"):
-        train(TINY, run, validation=[f"sceneflow/test:{tmp_path / 'data'}"], resume=True, machine=CPU)
+        train(TINY, run, validation=[data], resume=True, machine=CPU)
     with pytest.raises(ConfigError, match="was started with start None"):
         train(TINY, run, model=build_model("coex", max_disparity=32), resume=True, machine=CPU)
     (tmp_path / "other").mkdir()
@@ -526,13 +543,13 @@ def test_the_length_changes_from_epochs_to_steps(tmp_path):
 
 
 def test_pairs_without_ground_truth_are_refused_ahead(tmp_path):
-    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    data = rendered_pairs(tmp_path, 2)
     for view in ("left", "right"):
         (tmp_path / "pairs" / view).mkdir(parents=True)
         for image in sorted((tmp_path / "data").rglob(f"{view}/*.png")):
             (tmp_path / "pairs" / view / image.name).write_bytes(image.read_bytes())
-    blind, seeing = f"folder:{tmp_path / 'pairs'}", f"sceneflow/train:{tmp_path / 'data'}"
-    for sets in ({"data": [blind]}, {"data": [seeing], "validation": [blind]}):
+    blind = f"folder:{tmp_path / 'pairs'}"
+    for sets in ({"data": [blind]}, {"data": [data], "validation": [blind]}):
         with pytest.raises(InputError, match=r"2 of 2 pairs of 'folder:.*' have no ground truth"):
             train(TINY, tmp_path / "run", **sets, machine=CPU)
     assert not (tmp_path / "run").exists()
@@ -540,12 +557,11 @@ def test_pairs_without_ground_truth_are_refused_ahead(tmp_path):
 
 @pytest.mark.parametrize("resume", [False, True])
 def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path, resume):
-    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    data = [rendered_pairs(tmp_path, 2)]
     image = sorted((tmp_path / "data").rglob("left/*.png"))[0]
     whole = image.read_bytes()
     image.write_bytes(whole[:100])
     recipe, settings = with_length(TINY, steps=1), {"machine": on_cpu(workers=1)}
-    data = [f"sceneflow/train:{tmp_path / 'data'}"]
     with pytest.raises(InputError) as caught:
         train(recipe, tmp_path / "run", data=data, **settings)
     assert "\n" not in str(caught.value)
@@ -557,15 +573,11 @@ def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path, resume):
 
 
 def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
-    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=3), tmp_path / "data", split="train")
+    data = rendered_pairs(tmp_path, 3)
     start = build_model("coex", max_disparity=32)
     start.save_pretrained(tmp_path / "start")
     recipe = tmp_path / "mine.toml"
-    recipe.write_text(
-        '[model]\nname = "coex"\nmax_disparity = 32\n[augmentation]\ncrop_height = 32\ncrop_width = 64\n'
-        "[schedule]\nbatch = 2\nepochs = 1\n[optimisation]\nlearning_rate = 1e-9\n"
-    )
-    data = f"sceneflow/train:{tmp_path / 'data'}"
+    recipe.write_text(FROM_FILES + "[optimisation]\nlearning_rate = 1e-9\n")
     arguments = ["train", "--recipe", str(recipe), "--weights", str(tmp_path / "start"), "--accelerator", "cpu"]
     arguments += ["--data", data, "--workers", "0"]
     assert main([*arguments, "--out", str(tmp_path / "run"), "--validate", data]) == 0
@@ -580,13 +592,9 @@ def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
 
 
 def test_several_validation_sets_have_a_mean(tmp_path, capsys):
-    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    data = rendered_pairs(tmp_path, 2)
     recipe = tmp_path / "mine.toml"
-    recipe.write_text(
-        '[model]\nname = "coex"\nmax_disparity = 32\n[augmentation]\ncrop_height = 32\ncrop_width = 64\n'
-        "[schedule]\nbatch = 2\nepochs = 1\n"
-    )
-    data = f"sceneflow/train:{tmp_path / 'data'}"
+    recipe.write_text(FROM_FILES)
     arguments = ["train", "--recipe", str(recipe), "--out", str(tmp_path / "run"), "--accelerator", "cpu"]
     assert main([*arguments, "--data", data, "--workers", "0", "--validate", data, "--validate", data]) == 0
     printed = capsys.readouterr().out.splitlines()
@@ -599,10 +607,9 @@ def test_several_validation_sets_have_a_mean(tmp_path, capsys):
 
 
 def test_nothing_is_said_that_does_not_help(tmp_path, caplog, recwarn):
-    write_scenes(SyntheticScenes(size=(48, 80), max_disparity=16, count=2), tmp_path / "data", split="train")
+    data = [rendered_pairs(tmp_path, 2)]
     files = replace(with_length(TINY, steps=1), scenes=None)
     for length in (1, 2):
-        data = [f"sceneflow/train:{tmp_path / 'data'}"]
         outcome = train(with_length(files, steps=length), tmp_path / "run", data=data, resume=length > 1, machine=CPU)
         assert outcome.record["validation"] == {}
     assert [record.getMessage() for record in caplog.records] == []
@@ -687,8 +694,9 @@ def test_two_processes_have_the_gradient_of_one_with_the_joint_batch(tmp_path):
     alone = gradients(tmp_path / "1.pt", 1)
     # in a process that has not computed a gradient yet, whose threads a fork would lose
     program = f"from tests.training.test_run import gradients; gradients({str(tmp_path / '2.pt')!r}, 2)"
-    root = Path(__file__).parents[2]
-    subprocess.run([sys.executable, "-c", program], check=True, cwd=root, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    subprocess.run(
+        [sys.executable, "-c", program], check=True, cwd=REPOSITORY, env={**os.environ, "OMP_NUM_THREADS": "1"}
+    )
     together = torch.load(tmp_path / "2.pt", weights_only=True)
     assert alone.keys() == together.keys()
     largest = max(gradient.abs().max() for gradient in alone.values())

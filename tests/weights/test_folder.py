@@ -267,16 +267,6 @@ def test_the_hub_out_of_reach_is_a_plain_error(offline):
         StereoModel.from_pretrained("somebody/coex", **offline)
 
 
-@pytest.fixture
-def no_hub(monkeypatch):
-    """The hub must not be asked."""
-
-    def asked(*given, **arguments):
-        raise AssertionError(f"the hub was asked for {given}")
-
-    monkeypatch.setattr("stereokit.weights.folder.hf_hub_download", asked)
-
-
 @pytest.mark.parametrize("name", ["coez", "./coex", "../coex", "/coex", "runs/mine/network", "runs/", ""])
 def test_the_hub_is_not_asked_for_what_is_no_repository(no_hub, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)

@@ -1,16 +1,23 @@
 """Configurations that somebody damaged, or made to do harm."""
 
 import json
+import shutil
 
 import pytest
 
 from stereokit import CheckpointError, ConfigError, StereoNetwork, build_model
 
 
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("saved")
+    build_model("coex", max_disparity=32).save_pretrained(folder)
+    return folder
+
+
 @pytest.fixture
-def folder(tmp_path):
-    build_model("coex", max_disparity=32).save_pretrained(tmp_path)
-    return tmp_path
+def folder(saved, tmp_path):
+    return shutil.copytree(saved, tmp_path / "network")
 
 
 @pytest.mark.parametrize(

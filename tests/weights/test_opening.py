@@ -46,14 +46,6 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture
-def no_hub(monkeypatch):
-    def asked(*given, **arguments):
-        raise AssertionError(f"the hub was asked for {given}")
-
-    monkeypatch.setattr("stereokit.weights.folder.hf_hub_download", asked)
-
-
 def test_a_network_stands_for_its_default_weights(here, no_hub):
     assert find_network("coex") == find_network("coex.synthetic_v7") == trained_network("coex")
     opened = open_network("coex")
