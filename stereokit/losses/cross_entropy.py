@@ -6,6 +6,7 @@ from torch import Tensor
 from stereokit.contracts import Distribution, Prediction
 from stereokit.errors import ConfigError, InputError
 from stereokit.layers import at_least_float32
+from stereokit.losses.known import mean_over_known
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 
@@ -67,7 +68,7 @@ def masked_cross_entropy(distribution: Distribution, truth: Tensor, *, max_dispa
     below, above = (log_mass.gather(1, level.clamp(max=last).long()) for level in (lower, lower + 1))
     # a level without a share may be impossible: 0 times -inf is 0
     entropy = -torch.where(share < 1, (1 - share) * below, 0) - torch.where(share > 0, share * above, 0)
-    return torch.where(known, entropy.squeeze(1), 0).sum() / known.sum().clamp(min=1)
+    return mean_over_known(entropy.squeeze(1), known)
 
 
 def _split(distribution: Distribution, cells: Tensor, known: Tensor, last: int) -> tuple[Tensor, Tensor]:

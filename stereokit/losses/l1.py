@@ -5,6 +5,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stereokit.contracts import Prediction
+from stereokit.losses.known import mean_over_known
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 
@@ -57,4 +58,4 @@ class L1:
         # the prediction may cover the padding too
         disparity = prediction.disparity[:, :rows, :columns]
         distance = (torch.where(known, target.to(disparity.dtype), disparity.detach()) - disparity).abs()
-        return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)
+        return mean_over_known(distance, known)

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from stereokit.contracts import Prediction, at_full_size
 from stereokit.errors import ConfigError
+from stereokit.losses.known import mean_over_known
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 
@@ -39,9 +40,8 @@ class Robust:
 
     def __call__(self, prediction: Prediction, truth: Tensor, *, max_disparity: float | None) -> Tensor:
         """The mean over the known pixels; 0, with a gradient of 0, where there is none."""
-        height, width = truth.shape[-2:]
-        disparity = at_full_size(prediction)[:, :height, :width]
+        disparity = at_full_size(prediction, truth.shape[-2:])
         known = valid_pixels(truth, max_disparity=max_disparity)
         apart = torch.where(known, truth.to(disparity.dtype), disparity.detach()) - disparity
         distance = ((apart / self.scale) ** 2 + 1).sqrt() - 1
-        return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)
+        return mean_over_known(distance, known)

@@ -6,6 +6,7 @@ from torch.nn import functional as F
 
 from stereokit.contracts import Prediction, at_full_size
 from stereokit.errors import InputError
+from stereokit.losses.known import mean_over_known
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 
@@ -40,7 +41,7 @@ def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float |
     known = valid_pixels(truth, max_disparity=max_disparity)
     target = torch.where(known, truth, disparity.detach())
     distance = F.smooth_l1_loss(disparity, target.to(disparity.dtype), reduction="none")
-    return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)
+    return mean_over_known(distance, known)
 
 
 @LOSSES.register("smooth_l1")
@@ -53,6 +54,5 @@ class SmoothL1:
 
     def __call__(self, prediction: Prediction, truth: Tensor, *, max_disparity: float | None) -> Tensor:
         """The mean over the known pixels."""
-        height, width = truth.shape[-2:]
-        disparity = at_full_size(prediction)[:, :height, :width]
+        disparity = at_full_size(prediction, truth.shape[-2:])
         return masked_smooth_l1(disparity, truth, max_disparity=max_disparity)
