@@ -14,12 +14,13 @@ fits. Strides are in pixels of the padded input: a map of stride 4 has a quarter
 are in pixels of the full-size image, unless said otherwise.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
 from torch import Tensor, nn
-from torch.nn import functional as F
+
+from stereokit.layers import bilinear_upsample
 
 __all__ = [
     "Aggregation",
@@ -141,8 +142,7 @@ class StereoOutput(NamedTuple):
     @property
     def auxiliary(self) -> tuple[Tensor, ...]:
         """All predictions but the last as (B, H, W): coarse ones are interpolated, and cut to the size of the image."""
-        height, width = self.disparity.shape[-2:]
-        return tuple(at_full_size(p)[:, :height, :width] for p in self.predictions[:-1])
+        return tuple(at_full_size(p, self.disparity.shape[-2:]) for p in self.predictions[:-1])
 
     @property
     def logits(self) -> Tensor | None:
@@ -156,17 +156,22 @@ class StereoOutput(NamedTuple):
         return next((p.distribution for p in reversed(self.predictions) if p.distribution is not None), None)
 
 
-def at_full_size(prediction: Prediction) -> Tensor:
+def at_full_size(prediction: Prediction, size: Sequence[int] | None = None) -> Tensor:
     """The disparity of a prediction at stride 1, interpolated; values are not scaled.
 
+    Args:
+        prediction: at any stride.
+        size: height and width that the result is cut to, at the bottom and right; None leaves it whole.
+
     >>> import torch
-    >>> at_full_size(Prediction(torch.full((1, 2, 3), 7.0), stride=4)).shape
-    torch.Size([1, 8, 12])
+    >>> at_full_size(Prediction(torch.full((1, 2, 3), 7.0), stride=4), (7, 9)).shape
+    torch.Size([1, 7, 9])
     """
-    disparity, scale = prediction.disparity, prediction.stride
-    if scale == 1:
+    disparity = bilinear_upsample(prediction.disparity, prediction.stride)
+    if size is None:
         return disparity
-    return F.interpolate(disparity.unsqueeze(1), scale_factor=scale, mode="bilinear", align_corners=False).squeeze(1)
+    height, width = size
+    return disparity[:, :height, :width]
 
 
 class GuidanceFactory(Protocol):

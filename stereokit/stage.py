@@ -15,8 +15,8 @@ from stereokit.contracts import (
     Regression,
     Sampler,
     Upsampler,
-    at_full_size,
 )
+from stereokit.layers import bilinear_upsample
 
 __all__ = ["Stage", "StageBlocks", "StageOutput", "planes_scale", "resample", "run_stage", "stage_loss_weights"]
 
@@ -110,7 +110,7 @@ def run_stage(
         disparity, certainty = _regress(best, blocks, guides, candidates, with_confidence=confidence)
         if certainty is not None:
             ends_at = best.stride // (upsampler.scale if upsampler.domain == "volume" else 1)
-            certainty = at_full_size(Prediction(certainty, ends_at))
+            certainty = bilinear_upsample(certainty, ends_at)
         return StageOutput((_upsampled(disparity, best, blocks, guides),), certainty)
     predictions = []
     for number, head in enumerate(heads, start=1):

@@ -19,10 +19,11 @@ from stereokit import (
     build_model,
 )
 from stereokit.contracts import FeatureInfo, Features
+from stereokit.layers import bilinear_upsample
 from stereokit.losses import stereo_loss
 from stereokit.network import Preprocessing
 from stereokit.optimize import prepare_for_training
-from stereokit.upsampling.interpolation import BilinearUpsampler, TrilinearUpsampler, bilinear_upsample
+from stereokit.upsampling.interpolation import BilinearUpsampler, TrilinearUpsampler
 
 D = 64
 

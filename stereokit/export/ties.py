@@ -7,7 +7,8 @@ from types import MappingProxyType
 import torch
 from torch import Tensor, nn
 
-from stereokit.contracts import Guides, Prediction, at_full_size
+from stereokit.contracts import Guides
+from stereokit.layers import bilinear_upsample
 from stereokit.model import StereoModel
 from stereokit.regression import TopKSoftArgmin
 
@@ -77,4 +78,4 @@ class Enlarged(nn.Module):
 
     def forward(self, disparity: Tensor, left: Tensor, right: Tensor, guides: Guides) -> Tensor:
         """(B, h, w) to (B, H, W)."""
-        return at_full_size(Prediction(disparity, left.shape[-1] // disparity.shape[-1]))
+        return bilinear_upsample(disparity, left.shape[-1] // disparity.shape[-1])

@@ -11,6 +11,7 @@ from stereokit.layers.convolution import (
     named_activation,
     relu,
 )
+from stereokit.layers.interpolation import bilinear_upsample
 from stereokit.layers.inverted_residual import InvertedResidual
 from stereokit.layers.pooling import cell_means, tent_means
 from stereokit.layers.residual import ResidualBlock, residual_layer
@@ -26,6 +27,7 @@ __all__ = [
     "UpStep",
     "as_float",
     "at_least_float32",
+    "bilinear_upsample",
     "cell_means",
     "crop_to",
     "init_convolutions",

@@ -15,7 +15,7 @@ from stereokit.checks import check_max_disparity
 from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
 from stereokit.contracts import Prediction, StereoOutput
 from stereokit.costs.signed_correlation import SignedCorrelation
-from stereokit.layers import ConvNormAct, at_least_float32, leaky_relu
+from stereokit.layers import ConvNormAct, at_least_float32, bilinear_upsample, leaky_relu
 from stereokit.network import Corner, Padding, Preprocessing, Statistics, StereoNetwork
 from stereokit.registry import MODELS
 from stereokit.weights.key_map import publish
@@ -174,12 +174,12 @@ class DispNetC(StereoNetwork):
         (half, _), (quarter, of_right) = (maps.chunk(2) for maps in self.features(torch.cat((left, right))))
         *coarse, bottom = self.encoder(self.correlation(quarter, of_right), quarter)
         raw = [at_least_float32(disparity) for disparity in self.decoder([half, quarter, *coarse], bottom)]
-        finest = F.interpolate(F.relu(raw[-1]), scale_factor=2, mode="bilinear", align_corners=False)
+        finest = bilinear_upsample(F.relu(raw[-1]).squeeze(1), 2)
         predictions = [
             Prediction(disparity.squeeze(1), left.shape[-1] // disparity.shape[-1])
             for disparity in (raw if self.training else raw[-1:])
         ]
-        return StereoOutput(finest.squeeze(1), tuple(predictions))
+        return StereoOutput(finest, tuple(predictions))
 
 
 def _positive(state: dict[str, Tensor]) -> dict[str, Tensor]:

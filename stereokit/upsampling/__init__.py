@@ -5,7 +5,6 @@ from stereokit.upsampling.interpolation import (
     BilinearUpsampler,
     NoUpsampler,
     TrilinearUpsampler,
-    bilinear_upsample,
     trilinear_upsample,
 )
 from stereokit.upsampling.superpixel import SuperpixelUpsampler, superpixel_upsample
@@ -16,7 +15,6 @@ __all__ = [
     "NoUpsampler",
     "SuperpixelUpsampler",
     "TrilinearUpsampler",
-    "bilinear_upsample",
     "superpixel_upsample",
     "trilinear_upsample",
 ]

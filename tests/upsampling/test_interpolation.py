@@ -4,11 +4,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
+from stereokit.layers import bilinear_upsample
 from stereokit.upsampling.interpolation import (
     BilinearUpsampler,
     NoUpsampler,
     TrilinearUpsampler,
-    bilinear_upsample,
     trilinear_upsample,
 )
 from tests.strategies import disparities, logits
