@@ -114,6 +114,25 @@ class Registry:
             raise ConfigError(f"unknown {self.kind} {name!r}; {suggest(name, self.names())}")
         return self._factories[name]
 
+    def named(self, choice: object, what: str) -> tuple[str, dict[str, Any]]:
+        """The name and the arguments of a choice: a name, or ``{"name": ..., **arguments}``.
+
+        Args:
+            choice: what was given.
+            what: the beginning of the message about anything else.
+
+        Raises:
+            ConfigError: it is neither.
+
+        >>> COSTS.named({"name": "correlation", "projection": [48]}, "a part is the name of a cost")
+        ('correlation', {'projection': [48]})
+        """
+        arguments = dict(choice) if isinstance(choice, Mapping) else {"name": choice}
+        name = arguments.pop("name", None)
+        if not isinstance(name, str):
+            raise ConfigError(f"{what}, or {{'name': ..., **arguments}}; got {choice!r}")
+        return name, arguments
+
     def parameters(self, name: str) -> Mapping[str, inspect.Parameter]:
         """The arguments that the component takes."""
         return inspect.signature(self.get(name)).parameters

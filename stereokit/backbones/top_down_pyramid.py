@@ -46,12 +46,7 @@ class TopDownPyramid(nn.Module):
         self, *, base: str | Mapping[str, Any], finest: int = 2, smooth: bool = True, pretrained: bool = False
     ) -> None:
         super().__init__()
-        arguments = {"name": base} if isinstance(base, str) else dict(base)
-        name = arguments.pop("name", None)
-        if not isinstance(name, str):
-            raise ConfigError(
-                f"the base of a pyramid is the name of a backbone, or {{'name': ..., **arguments}}; got {base!r}"
-            )
+        name, arguments = BACKBONES.named(base, "the base of a pyramid is the name of a backbone")
         if pretrained and "pretrained" not in BACKBONES.parameters(name):
             raise ConfigError(f"backbone {name!r} has no pretrained weights to load; leave out pretrained_backbone")
         self.base: Backbone = BACKBONES.build(name, arguments, {"pretrained": pretrained})

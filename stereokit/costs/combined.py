@@ -41,12 +41,7 @@ class CombinedVolume(nn.Module):
             raise ConfigError(f"parts={parts!r}: a combined volume has two parts or more, in a list")
         built: list[Any] = []
         for part in parts:
-            arguments = {"name": part} if isinstance(part, str) else dict(part)
-            name = arguments.pop("name", None)
-            if not isinstance(name, str):
-                raise ConfigError(
-                    f"a part of a combined volume is the name of a cost, or {{'name': ..., **arguments}}; got {part!r}"
-                )
+            name, arguments = COSTS.named(part, "a part of a combined volume is the name of a cost")
             built.append(COSTS.build(name, arguments, {"in_channels": in_channels, "planes": planes}))
         self.parts = nn.ModuleList(built)
         self.out_channels = sum(part.out_channels for part in built)

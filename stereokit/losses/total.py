@@ -6,7 +6,7 @@ from typing import Any, Protocol
 from torch import Tensor
 
 from stereokit.contracts import Prediction, StereoOutput
-from stereokit.errors import ConfigError, InputError
+from stereokit.errors import InputError
 from stereokit.registry import LOSSES
 
 __all__ = ["Loss", "named_loss", "stereo_loss"]
@@ -31,11 +31,7 @@ def named_loss(loss: str | Mapping[str, Any]) -> Loss:
     >>> type(named_loss({"name": "robust", "scale": 1.0})).__name__
     'Robust'
     """
-    arguments = {"name": loss} if isinstance(loss, str) else dict(loss)
-    name = arguments.pop("name", None)
-    if not isinstance(name, str):
-        raise ConfigError(f"a loss is a name, or a dict with a name and arguments; got {loss!r}")
-    made: Loss = LOSSES.build(name, arguments)
+    made: Loss = LOSSES.build(*LOSSES.named(loss, "a loss is a name"))
     return made
 
 
