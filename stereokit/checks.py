@@ -15,7 +15,7 @@ from stereokit.contracts import (
     Upsampler,
 )
 from stereokit.errors import ConfigError
-from stereokit.stage import StageBlocks, planes_scale
+from stereokit.stage import StageBlocks, guides_read, planes_scale
 
 __all__ = ["Rule", "check_interface", "check_max_disparity", "check_network", "check_rules", "input_multiple"]
 
@@ -184,13 +184,8 @@ def input_multiple(backbone: Backbone, stages: Sequence[StageBlocks], refinement
     return math.lcm(
         backbone.multiple,
         *(stage.stride * stage.aggregation.multiple for stage in stages),
-        *(
-            stride
-            for stage in stages
-            for block in (stage.aggregation, stage.upsampler)
-            for stride in block.guide_channels
-        ),
-        *(stride for refinement in refinements for stride in (refinement.stride, *refinement.guide_channels)),
+        *(refinement.stride for refinement in refinements),
+        *guides_read(stages, refinements),
     )
 
 

@@ -1,7 +1,6 @@
 """Networks made of slots: one choice for each of them."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -23,7 +22,7 @@ from stereokit.contracts import (
     Upsampler,
 )
 from stereokit.network import MIN_SIZE, Preprocessing, StereoNetwork
-from stereokit.stage import Stage, StageBlocks, run_stage, stage_loss_weights
+from stereokit.stage import Stage, StageBlocks, guides_read, run_stage, stage_loss_weights
 
 __all__ = ["StereoModel"]
 
@@ -73,8 +72,9 @@ class StereoModel(StereoNetwork):
         super().__init__(max_disparity=max_disparity, preprocessing=preprocessing, config=config)
         self.stride = backbone.info.finest if stride is None else stride
         self.backbone = backbone
-        uniform = partial(UniformCandidates, max_disparity=max_disparity, stride=self.stride)
-        self.candidates: Sampler = uniform() if candidates is None else candidates
+        if candidates is None:
+            candidates = UniformCandidates(max_disparity=max_disparity, stride=self.stride)
+        self.candidates = candidates
         self.cost = cost
         self.aggregation = aggregation
         self.regression = regression
@@ -113,14 +113,10 @@ class StereoModel(StereoNetwork):
         pairs = {stride: matching.chunk(2) for stride, matching in features.matching.items()}
         guides = {stride: guide.chunk(2)[0] for stride, guide in features.guides.items()}
         coarsest = self.backbone.info.coarsest_guide
-        for stride in self._guides_read():
+        for stride in guides_read((*self.coarse, self), self.refinements):  # type: ignore[arg-type]
             if stride == 1 and stride not in guides:
                 guides[stride] = left
             elif stride not in guides:
                 guides[stride] = F.avg_pool2d(guides[coarsest], stride // coarsest)
         of_left, of_right = ({stride: pair[i] for stride, pair in pairs.items()} for i in (0, 1))
         return Features(of_left, guides), Features(of_right, {})
-
-    def _guides_read(self) -> list[int]:
-        blocks = [block for stage in (*self.coarse, self) for block in (stage.aggregation, stage.upsampler)]
-        return [stride for block in (*blocks, *self.refinements) for stride in block.guide_channels]

@@ -1,5 +1,6 @@
 """One stage of a network: candidates to predictions, once."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from torch import Tensor, nn
@@ -12,13 +13,23 @@ from stereokit.contracts import (
     Features,
     Guides,
     Prediction,
+    Refinement,
     Regression,
     Sampler,
     Upsampler,
 )
 from stereokit.layers import bilinear_upsample
 
-__all__ = ["Stage", "StageBlocks", "StageOutput", "planes_scale", "resample", "run_stage", "stage_loss_weights"]
+__all__ = [
+    "Stage",
+    "StageBlocks",
+    "StageOutput",
+    "guides_read",
+    "planes_scale",
+    "resample",
+    "run_stage",
+    "stage_loss_weights",
+]
 
 
 class StageBlocks(Protocol):
@@ -119,6 +130,12 @@ def run_stage(
             predictions.append(Prediction(coarse, head.stride, head))
         predictions.append(_upsampled(coarse, head, blocks, guides))
     return StageOutput(tuple(predictions), None)
+
+
+def guides_read(stages: Sequence[StageBlocks], refinements: Sequence[Refinement]) -> list[int]:
+    """The strides of all guides that a network reads."""
+    blocks = [block for stage in stages for block in (stage.aggregation, stage.upsampler)]
+    return [stride for block in (*blocks, *refinements) for stride in block.guide_channels]
 
 
 def stage_loss_weights(blocks: StageBlocks) -> tuple[float, ...]:

@@ -58,13 +58,13 @@ class KeyMap:
         return [(_as_pattern(theirs), ours) for theirs, ours in self.pairs]
 
 
-def layer(published: str, ours: str, names: tuple[str, ...] = ("conv", "bn")) -> KeyMap:
-    """A layer whose parts are named there and numbered here, as in `ConvNormAct`.
+def layer(published: str, ours: str) -> KeyMap:
+    """A `ConvNormAct`, whose parts are numbered here and named there.
 
     >>> list(layer("spx.0.", "upsampler.stem.0."))
     [('spx.0.conv.', 'upsampler.stem.0.0.'), ('spx.0.bn.', 'upsampler.stem.0.1.')]
     """
-    return KeyMap((f"{published}{name}.", f"{ours}{number}.") for number, name in enumerate(names))
+    return KeyMap([(f"{published}conv.", f"{ours}0."), (f"{published}bn.", f"{ours}1.")])
 
 
 @dataclass(frozen=True)
