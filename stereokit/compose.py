@@ -13,6 +13,7 @@ from stereokit.config import (
     Presets,
     as_json,
     expand_shorthands,
+    merged,
 )
 from stereokit.contracts import Backbone, FeatureInfo
 from stereokit.errors import ConfigError
@@ -42,7 +43,7 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     pretrained = bool(overrides.pop("pretrained_backbone", False))
     expand_shorthands(overrides)
     _check_names(recipe, presets, overrides)
-    choice: dict[str, Any] = {**recipe, **{key: _completed(recipe.get(key), o) for key, o in overrides.items()}}
+    choice: dict[str, Any] = {**recipe, **{key: merged(recipe.get(key), o) for key, o in overrides.items()}}
     _check_effects(recipe, overrides)
     seen = Choice("backbone", choice["backbone"], recipe["backbone"], presets)
     backbone = cast(Backbone, seen.build(pretrained=pretrained))
@@ -50,10 +51,10 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
     common = {"max_disparity": choice["max_disparity"], "info": backbone.info, "backbone": str(seen)}
     stages, coarse = [], []
     for number, settings in enumerate(choice["coarse"]):
-        merged = _coarse_settings(settings, choice, first=number == 0)
-        blocks, resolved = _build_stage(merged, choice, presets, **common)
-        stages.append(Stage(**blocks, stride=merged["stride"], loss_weight=merged["loss_weight"]))
-        coarse.append({**resolved, "stride": merged["stride"], "loss_weight": merged["loss_weight"]})
+        given = _coarse_settings(settings, choice, first=number == 0)
+        blocks, resolved = _build_stage(given, choice, presets, **common)
+        stages.append(Stage(**blocks, stride=given["stride"], loss_weight=given["loss_weight"]))
+        coarse.append({**resolved, "stride": given["stride"], "loss_weight": given["loss_weight"]})
     refinements = [Choice("refinement", given, presets=presets) for given in choice["refinements"]]
     ends_at = _stride_of(refinements[0]) if refinements else 1
     blocks, resolved = _build_stage({**choice, "stride": stride}, recipe, presets, ends_at=ends_at, **common)
@@ -88,16 +89,6 @@ def compose(recipe: ModelConfig, presets: Presets, overrides: Mapping[str, Any])
         ),
         config=as_json({**choice, **parts}),
     )
-
-
-def _completed(component: Any, override: Any) -> Any:
-    """A choice with its name; a dict without one changes arguments of the recipe's own component."""
-    if not isinstance(component, Mapping):
-        return override
-    if isinstance(override, str):
-        return {"name": override}
-    nameless = isinstance(override, Mapping) and not {"name", "instance"} & override.keys()
-    return {**component, **override} if nameless else override
 
 
 def _build_stage(

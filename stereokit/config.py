@@ -6,6 +6,7 @@ from typing import Any, Literal, TypeAlias, TypedDict
 
 from torch import nn
 
+from stereokit.contracts import GuidancePlacement
 from stereokit.errors import ConfigError
 from stereokit.registry import MODELS, suggest
 
@@ -13,12 +14,16 @@ __all__ = [
     "IMAGENET_MEAN",
     "IMAGENET_STD",
     "Component",
+    "Corner",
     "ModelConfig",
     "NetworkConfig",
     "Override",
+    "Padding",
     "Presets",
+    "Statistics",
     "as_json",
     "expand_shorthands",
+    "merged",
     "rebuild",
 ]
 
@@ -37,6 +42,12 @@ Presets: TypeAlias = Mapping[str, Mapping[str, Component]]
 
 NetworkConfig: TypeAlias = Mapping[str, Any]
 """``{"name": ..., **arguments}`` of any registered network; of one made of slots it is a `ModelConfig`."""
+
+
+Statistics = Literal["fixed", "image"]
+Padding = Literal["replicate", "zeros", "black"]
+Corner = Literal["bottom_right", "top_right"]
+"""Of `Preprocessing`."""
 
 
 class ModelConfig(TypedDict):
@@ -60,7 +71,7 @@ class ModelConfig(TypedDict):
     candidates: Component
     cost: Component
     guidance: Component
-    guidance_at: Literal["one", "full"]
+    guidance_at: GuidancePlacement
     aggregation: Component
     regression: Component
     upsampler: Component
@@ -68,9 +79,9 @@ class ModelConfig(TypedDict):
     max_disparity: int
     mean: list[float]
     std: list[float]
-    statistics: Literal["fixed", "image"]
-    padding: Literal["replicate", "zeros", "black"]
-    corner: Literal["bottom_right", "top_right"]
+    statistics: Statistics
+    padding: Padding
+    corner: Corner
 
 
 def rebuild(config: Mapping[str, Any], **overrides: Any) -> Any:
@@ -99,10 +110,7 @@ def rebuild(config: Mapping[str, Any], **overrides: Any) -> Any:
         # where there is none, its places are nowhere
         settings.pop("guidance_at", None)
     for slot, override in overrides.items():
-        # a dict without a name changes arguments of what the configuration holds
-        if isinstance(override, Mapping) and "name" not in override and isinstance(settings.get(slot), Mapping):
-            override = {**settings[slot], **override}
-        settings[slot] = override
+        settings[slot] = merged(settings.get(slot), override)
     network = MODELS.build(name, settings)
     if not isinstance(network, nn.Module) or not hasattr(network, "match"):
         raise ConfigError(
@@ -113,6 +121,17 @@ def rebuild(config: Mapping[str, Any], **overrides: Any) -> Any:
         # a registered class, which knows nothing of its name
         network._config = as_json({"name": name, **MODELS.resolve(name, settings, {})})
     return network
+
+
+def merged(component: Any, override: Any) -> Any:
+    """A component with its override: a dict without a name changes arguments of it, all else takes its place.
+
+    >>> merged({"name": "correlation", "projection": None}, {"projection": [48]})
+    {'name': 'correlation', 'projection': [48]}
+    """
+    both = isinstance(component, Mapping) and isinstance(override, Mapping)
+    nameless = both and not {"name", "instance"} & override.keys()
+    return {**component, **override} if nameless else override
 
 
 def expand_shorthands(overrides: dict[str, Any]) -> None:

@@ -4,14 +4,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import torch
 from huggingface_hub import ModelHubMixin
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stereokit.config import IMAGENET_MEAN, IMAGENET_STD, NetworkConfig
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD, Corner, NetworkConfig, Padding, Statistics
 from stereokit.contracts import StereoOutput
 from stereokit.errors import ConfigError, InputError
 from stereokit.files import atomic_path
@@ -21,10 +21,6 @@ from stereokit.weights.folder import load_folder, save_folder
 __all__ = ["MIN_SIZE", "Preprocessing", "StereoNetwork", "check_least_size", "least_size_of"]
 
 MIN_SIZE = 32
-
-Statistics = Literal["fixed", "image"]
-Padding = Literal["replicate", "zeros", "black"]
-Corner = Literal["bottom_right", "top_right"]
 
 
 @dataclass(frozen=True)

@@ -7,18 +7,10 @@ from torch import Tensor, nn
 
 from stereokit.backbones.encoder import build_encoder
 from stereokit.contracts import FeatureInfo, Features
-from stereokit.layers import ConvNormAct, UpStep, relu
+from stereokit.layers import ConvNormAct, UpStep, image_stem
 from stereokit.registry import BACKBONES
 
 __all__ = ["UNet"]
-
-
-def image_stem(in_channels: int, out_channels: int) -> nn.Sequential:
-    """Two 3x3 convolutions, the first of which halves the size."""
-    return nn.Sequential(
-        ConvNormAct(in_channels, out_channels, stride=2),
-        ConvNormAct(out_channels, out_channels, activation=relu),
-    )
 
 
 @BACKBONES.register("unet")

@@ -11,6 +11,7 @@ from stereokit.layers.convolution import (
     named_activation,
     relu,
 )
+from stereokit.layers.image_stem import image_stem
 from stereokit.layers.interpolation import bilinear_upsample
 from stereokit.layers.inverted_residual import InvertedResidual
 from stereokit.layers.pooling import cell_means, tent_means
@@ -30,6 +31,7 @@ __all__ = [
     "bilinear_upsample",
     "cell_means",
     "crop_to",
+    "image_stem",
     "init_convolutions",
     "leaky_relu",
     "named_activation",

@@ -12,11 +12,11 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.checks import check_max_disparity
-from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD, Corner, Padding, Statistics
 from stereokit.contracts import Prediction, StereoOutput
 from stereokit.costs.signed_correlation import SignedCorrelation
 from stereokit.layers import ConvNormAct, at_least_float32, bilinear_upsample, leaky_relu
-from stereokit.network import Corner, Padding, Preprocessing, Statistics, StereoNetwork
+from stereokit.network import Preprocessing, StereoNetwork
 from stereokit.registry import MODELS
 from stereokit.weights.key_map import publish
 

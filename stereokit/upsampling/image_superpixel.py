@@ -1,15 +1,22 @@
 """Superpixel upsampling whose weights see the image itself: the upsampler of LightStereo."""
 
 from collections.abc import Mapping
-from typing import Literal
 
 from torch import Tensor, nn
 
 from stereokit.contracts import Guides
 from stereokit.errors import ConfigError
-from stereokit.layers import ConvNormAct, UpStep, at_least_float32, init_convolutions, named_activation, relu
+from stereokit.layers import (
+    ConvNormAct,
+    UpStep,
+    at_least_float32,
+    image_stem,
+    init_convolutions,
+    named_activation,
+    relu,
+)
 from stereokit.registry import UPSAMPLERS
-from stereokit.upsampling.superpixel import Superpixels
+from stereokit.upsampling.superpixel import Padding, Superpixels
 
 __all__ = ["ImageSuperpixelUpsampler"]
 
@@ -51,7 +58,7 @@ class ImageSuperpixelUpsampler(Superpixels):
         guide_channels: Mapping[int, int],
         stride: int | None = None,
         channels: int = 16,
-        padding: Literal["replicate", "zeros"] = "replicate",
+        padding: Padding = "replicate",
     ) -> None:
         super().__init__(scale=scale, guide_channels=guide_channels, stride=stride, padding=padding)
         if scale < 4 or scale != self.stride:
@@ -72,9 +79,7 @@ class ImageSuperpixelUpsampler(Superpixels):
         self.refine = nn.Sequential(
             ConvNormAct(width, width, norm="instance"), ConvNormAct(width, width, norm="instance", activation=relu)
         )
-        self.image_stem = nn.Sequential(
-            ConvNormAct(guide_channels[1], channels, stride=2), ConvNormAct(channels, channels, activation=relu)
-        )
+        self.image_stem = image_stem(guide_channels[1], channels)
         self.up = nn.ModuleList()
         for skip in (*(guide_channels[s] for s in between), channels):
             self.up.append(UpStep(width, skip, skip, activation=named_activation("leaky_relu_0.2"), skip_first=True))
