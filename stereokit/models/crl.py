@@ -13,12 +13,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.checks import check_max_disparity
-from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD, Corner, Padding, Statistics
 from stereokit.contracts import Prediction, StereoOutput
 from stereokit.costs.signed_correlation import SignedCorrelation
 from stereokit.layers import at_least_float32, tent_means, warp
 from stereokit.models.dispnetc import BOTTOM, CORRELATED, SKIPS, Encoder, Features, UpLevel, conv
-from stereokit.network import Corner, Padding, Preprocessing, Statistics, StereoNetwork
+from stereokit.network import Preprocessing, StereoNetwork
 from stereokit.registry import MODELS
 
 __all__ = ["CRL", "DispFulNet", "DispResNet"]

@@ -12,11 +12,11 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.checks import check_max_disparity
-from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD, Corner, Padding, Statistics
 from stereokit.contracts import Prediction, StereoOutput
 from stereokit.costs import groupwise_correlation_volume
 from stereokit.layers import ConvNormAct, at_least_float32, cell_means, init_convolutions, relu
-from stereokit.network import Corner, Padding, Preprocessing, Statistics, StereoNetwork
+from stereokit.network import Preprocessing, StereoNetwork
 from stereokit.registry import MODELS
 
 __all__ = ["ResNetCorr", "SegStereo"]
