@@ -11,7 +11,7 @@ from torch import Tensor
 from stereokit.builder import recipe
 from stereokit.weights.key_map import KeyMap, layer, publish
 
-__all__ = ["MOBILENET", "coex"]
+__all__ = ["EXCITED", "MOBILENET", "PAIR", "coex"]
 
 coex = recipe(
     "coex",
@@ -55,18 +55,11 @@ MOBILENET = KeyMap(
 """timm's MobileNetV2 as its users cut it, in `MobileNetV2Encoder`."""
 
 
-def _excited(published: str, ours: str) -> list[tuple[str, str]]:
-    """A GCE."""
-    return [
-        (f"{published}im_att.0.conv.", f"{ours}block.network.0.0."),
-        (f"{published}im_att.0.bn.", f"{ours}block.network.0.1."),
-        (f"{published}im_att.1.", f"{ours}block.network.1."),
-    ]
+EXCITED = KeyMap([*layer("im_att.0.", "block.network.0."), ("im_att.1.", "block.network.1.")])
+"""A GCE."""
 
-
-def _pair(published: str, ours: str) -> list[tuple[str, str]]:
-    """Two layers in a row."""
-    return [*layer(f"{published}0.", f"{ours}0."), *layer(f"{published}1.", f"{ours}1.")]
+PAIR = KeyMap([*layer("0.", "0."), *layer("1.", "1.")])
+"""Two layers in a row."""
 
 
 publish(
@@ -88,14 +81,14 @@ publish(
         *layer("cost_volume.conv.", "cost.projection.layers.0."),
         ("cost_volume.desc.", "cost.projection.layers.1."),
         *layer("cost_agg.conv_stem.", "aggregation.stem."),
-        *_excited("cost_agg.channelAttStem.", "aggregation.stem_guidance."),
-        *_pair("cost_agg.conv_down.{n}.", "aggregation.down{n+1}.convs."),
-        *_excited("cost_agg.channelAttDown.{n}.", "aggregation.down{n+1}.guidance."),
+        *EXCITED.under("cost_agg.channelAttStem.", "aggregation.stem_guidance."),
+        *PAIR.under("cost_agg.conv_down.{n}.", "aggregation.down{n+1}.convs."),
+        *EXCITED.under("cost_agg.channelAttDown.{n}.", "aggregation.down{n+1}.guidance."),
         ("cost_agg.conv_up.0.conv.", "aggregation.up1."),
         *layer("cost_agg.conv_up.{n}.", "aggregation.up{n+1}.up."),
         *layer("cost_agg.conv_skip.{n}.", "aggregation.up{n+1}.merge."),
-        *_pair("cost_agg.conv_agg.{n}.", "aggregation.up{n+1}.convs."),
-        *_excited("cost_agg.channelAtt.{n}.", "aggregation.up{n+1}.guidance."),
+        *PAIR.under("cost_agg.conv_agg.{n}.", "aggregation.up{n+1}.convs."),
+        *EXCITED.under("cost_agg.channelAtt.{n}.", "aggregation.up{n+1}.guidance."),
         *layer("spx_4.0.", "upsampler.stem.0."),
         ("spx_4.1.", "upsampler.stem.1.0."),
         ("spx_4.2.", "upsampler.stem.1.1."),

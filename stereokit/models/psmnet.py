@@ -9,6 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from stereokit.builder import recipe
+from stereokit.models.coex import EXCITED
 from stereokit.weights.key_map import KeyMap, layer, publish
 
 __all__ = ["BRANCHES", "TRUNK", "psmnet"]
@@ -62,8 +63,7 @@ publish(
         *layer("cost_volume.conv.", "cost.projection.layers.0."),
         ("cost_volume.desc.", "cost.projection.layers.1."),
         *layer("conv_stem.", "aggregation.stem."),
-        *layer("channelAtt.im_att.0.", "aggregation.guidance.block.network.0."),
-        ("channelAtt.im_att.1.", "aggregation.guidance.block.network.1."),
+        *EXCITED.under("channelAtt.", "aggregation.guidance."),
         ("dres{n}.0.", "aggregation.pair{n}.0."),
         ("dres{n}.2.", "aggregation.pair{n}.1."),
         ("dres{n}.conv1.0.", "aggregation.hourglass{n-1}.conv1."),
