@@ -5,9 +5,10 @@ from collections.abc import Mapping
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from stereokit.aggregation.logits_head import logits_head
 from stereokit.contracts import GuidanceFactory, GuidancePlacement, Guides
 from stereokit.guidance.point import GuidancePlan
-from stereokit.layers import Activation, ConvNormAct, crop_to, init_convolutions, relu
+from stereokit.layers import Activation, ConvNormAct, crop_to, relu
 from stereokit.registry import AGGREGATIONS
 
 __all__ = ["DoublingHourglass", "GwcHourglass"]
@@ -97,16 +98,11 @@ class GwcHourglass(nn.Module):
         def conv(width: int = c, activation: Activation | None = relu) -> ConvNormAct:
             return ConvNormAct(width, c, dims=3, activation=activation)
 
-        def head() -> nn.Sequential:
-            last = nn.Conv3d(c, 1, 3, padding=1, bias=False)
-            init_convolutions(last)
-            return nn.Sequential(conv(), last)
-
         self.pair0 = nn.Sequential(conv(in_channels), conv())
         self.guidance = plan.first(c)
         self.pair1 = nn.Sequential(conv(), conv(activation=None))
         self.hourglass1, self.hourglass2, self.hourglass3 = (DoublingHourglass(c, plan) for _ in range(3))
-        self.head0, self.head1, self.head2, self.head3 = (head() for _ in range(4))
+        self.head0, self.head1, self.head2, self.head3 = (logits_head(c) for _ in range(4))
         self.guide_channels = GuidancePlan.guides_read_by(self)
 
     def forward(self, volume: Tensor, guides: Guides) -> tuple[Tensor, ...]:

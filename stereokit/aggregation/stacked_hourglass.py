@@ -5,9 +5,10 @@ from collections.abc import Mapping
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from stereokit.aggregation.logits_head import logits_head
 from stereokit.contracts import GuidanceFactory, GuidancePlacement, Guides
 from stereokit.guidance.point import GuidancePlan, GuidancePoint
-from stereokit.layers import ConvNormAct, crop_to, init_convolutions, relu
+from stereokit.layers import ConvNormAct, crop_to, relu
 from stereokit.registry import AGGREGATIONS
 
 __all__ = ["StackedHourglass"]
@@ -91,11 +92,6 @@ class StackedHourglass(nn.Module):
         def hourglass() -> HourglassStage:
             return HourglassStage(c, (plan.at(2, 2 * c), plan.at(4, 2 * c), plan.at(2, 2 * c)))
 
-        def head() -> nn.Sequential:
-            last = nn.Conv3d(c, 1, 3, padding=1, bias=False)
-            init_convolutions(last)
-            return nn.Sequential(ConvNormAct(c, c, dims=3, activation=relu), last)
-
         has_stem = in_channels == 1 if stem is None else stem
         self.stem = ConvNormAct(in_channels, c, dims=3) if has_stem else None
         self.guidance = plan.first(c)
@@ -107,7 +103,7 @@ class StackedHourglass(nn.Module):
             ConvNormAct(c, c, dims=3, activation=relu), ConvNormAct(c, c, dims=3, activation=None)
         )
         self.hourglass1, self.hourglass2, self.hourglass3 = hourglass(), hourglass(), hourglass()
-        self.head1, self.head2, self.head3 = head(), head(), head()
+        self.head1, self.head2, self.head3 = (logits_head(c) for _ in range(3))
         self.guide_channels = GuidancePlan.guides_read_by(self)
 
     def forward(self, volume: Tensor, guides: Guides) -> tuple[Tensor, ...]:
