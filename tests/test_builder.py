@@ -310,9 +310,10 @@ def test_the_configuration_of_every_ablation_row_rebuilds_it(row):
 
 @pytest.mark.parametrize("name", list_models())
 def test_configurations_are_plain_and_complete(name):
-    config = build_model(name).config
+    model = build_model(name)
+    config = model.config
     assert json.loads(json.dumps(config)) == config
-    if isinstance(build_model(name), StereoModel):
+    if isinstance(model, StereoModel):
         assert set(config) == set(ModelConfig.__annotations__)
     assert config["name"] == name
 

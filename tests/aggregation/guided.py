@@ -1,6 +1,8 @@
 """What every aggregation owes its neighbours, whatever it is made of."""
 
 import torch
+from torch import nn
+from torch.testing import assert_close
 
 from stereokit import GCE, AdditiveGuidance, NeighborhoodAggregation
 
@@ -38,3 +40,19 @@ def assert_gradients_are_right(aggregation, volume, guides):
 
     inputs = [x.double().requires_grad_() for x in (volume, *guides.values())]
     assert torch.autograd.gradcheck(run, inputs, fast_mode=True)
+
+
+def with_running_statistics(aggregation):
+    """Training mode as the aggregation sees it, while its norms stay in eval mode."""
+    aggregation.eval()
+    aggregation.training = True
+    return aggregation
+
+
+def assert_the_second_pair_is_residual(aggregation, volume):
+    """Where its own output is zero, the first hourglass gets what the first pair gives."""
+    nn.init.zeros_(aggregation.eval().pair1[1][1].weight)
+    entered = []
+    aggregation.hourglass1.register_forward_pre_hook(lambda _, inputs: entered.append(inputs[0]))
+    aggregation(volume, {})
+    assert_close(entered[0], aggregation.pair0(volume))

@@ -9,8 +9,10 @@ from tests.aggregation.guided import (
     GUIDANCES,
     assert_gradients_are_right,
     assert_guides_matter,
+    assert_the_second_pair_is_residual,
     channels_at,
     guides_of,
+    with_running_statistics,
 )
 
 GUIDES = channels_at(4, 8, 16)
@@ -20,13 +22,6 @@ HOURGLASSES = ("hourglass1", "hourglass2", "hourglass3")
 
 def gwc(in_channels=3, **arguments):
     return GwcHourglass(in_channels=in_channels, channels=2, guide_channels=GUIDES, **arguments)
-
-
-def with_running_statistics(aggregation):
-    """Training mode as the aggregation sees it, while its norms stay in eval mode."""
-    aggregation.eval()
-    aggregation.training = True
-    return aggregation
 
 
 @pytest.mark.parametrize("guidance", GUIDANCES)
@@ -74,12 +69,7 @@ def test_hourglasses_follow_each_other_and_each_is_judged():
 
 
 def test_the_second_pair_is_residual():
-    aggregation = gwc().eval()
-    nn.init.zeros_(aggregation.pair1[1][1].weight)
-    volume, entered = torch.randn(1, 3, 4, 8, 8), []
-    aggregation.hourglass1.register_forward_pre_hook(lambda _, inputs: entered.append(inputs[0]))
-    aggregation(volume, {})
-    assert_close(entered[0], aggregation.pair0(volume))
+    assert_the_second_pair_is_residual(gwc(), torch.randn(1, 3, 4, 8, 8))
 
 
 def test_one_hourglass_skips_by_convolutions():

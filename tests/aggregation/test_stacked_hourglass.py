@@ -8,8 +8,10 @@ from tests.aggregation.guided import (
     GUIDANCES,
     assert_gradients_are_right,
     assert_guides_matter,
+    assert_the_second_pair_is_residual,
     channels_at,
     guides_of,
+    with_running_statistics,
 )
 
 GUIDES = channels_at(4, 8, 16)
@@ -59,13 +61,6 @@ def test_one_guidance_acts_after_the_stem_or_the_first_pair(in_channels, before,
     assert seen[after][0] is seen["guidance"][1]
 
 
-def with_running_statistics(aggregation):
-    """Training mode as the aggregation sees it, while its norms stay in eval mode."""
-    aggregation.eval()
-    aggregation.training = True
-    return aggregation
-
-
 def test_eval_mode_gives_the_last_head():
     aggregation = with_running_statistics(stacked())
     volume = torch.randn(1, 3, 4, 8, 8)
@@ -105,12 +100,7 @@ def test_hourglasses_are_residual():
 
 
 def test_the_second_pair_is_residual():
-    aggregation = stacked().eval()
-    nn.init.zeros_(aggregation.pair1[1][1].weight)
-    volume, entered = torch.randn(1, 3, 4, 8, 8), []
-    aggregation.hourglass1.register_forward_pre_hook(lambda _, inputs: entered.append(inputs[0]))
-    aggregation(volume, {})
-    assert_close(entered[0], aggregation.pair0(volume))
+    assert_the_second_pair_is_residual(stacked(), torch.randn(1, 3, 4, 8, 8))
 
 
 @pytest.mark.parametrize("tied", [(), ("pre",), ("post",), ("pre", "post")])

@@ -83,7 +83,6 @@ class Case:
         size: that the quick tests run at, height and width; multiples of what the network pads to.
         seam: the mean difference in px that tiles make, at most, with random weights.
         rounding: px that kernels which add in another order may differ by, at nearly all pixels, with random weights.
-        gradients_missing: weights that no gradient reaches, for a reason that stands beside.
     """
 
     parameters: int
@@ -96,7 +95,6 @@ class Case:
     size: tuple[int, int] = (64, 96)
     seam: float = 3.0
     rounding: float = 0.01
-    gradients_missing: tuple[str, ...] = ()
 
 
 def _lightstereo(size: str, parameters: int, **rest: Any) -> Case:
