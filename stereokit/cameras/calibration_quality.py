@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,8 +10,10 @@ import numpy.typing as npt
 
 from stereokit.cameras.rectification import Rectification
 from stereokit.cameras.rig import Camera, Rig
+from stereokit.cameras.solving import Solution
+from stereokit.cameras.views import BoardView
 
-__all__ = ["Quality", "cautions", "coverage", "epipolar_rms", "spread"]
+__all__ = ["Quality", "ViewQuality", "cautions", "coverage", "epipolar_rms", "largest_tilt", "view_quality"]
 
 _CELLS = (6, 8)  # rows and columns
 _LEAST_COVERAGE = 0.6
@@ -23,12 +25,23 @@ _MOST_REJECTED = 0.25
 _FOCAL_LENGTHS = 0.05
 
 
-class _Seen(Protocol):
-    @property
-    def left(self) -> npt.NDArray[np.float64]: ...
+@dataclass(frozen=True)
+class ViewQuality:
+    """A view that was used, and how well it fits.
 
-    @property
-    def right(self) -> npt.NDArray[np.float64]: ...
+    Attributes:
+        name: of the pair.
+        left: rms distance of the corners in the left view from where the rig puts them, in pixels.
+        right: the same of the right view.
+        tilt: of the board against the image of the left camera, in degrees.
+        distance: of the middle of its corners from the left camera, in metres.
+    """
+
+    name: str
+    left: float
+    right: float
+    tilt: float
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +74,7 @@ class Quality:
         return {**asdict(self), **lists, "distances": list(self.distances)}
 
 
-def epipolar_rms(rectification: Rectification, rig: Rig, views: Iterable[_Seen]) -> float:
+def epipolar_rms(rectification: Rectification, rig: Rig, views: Iterable[BoardView]) -> float:
     """Root mean square of the difference of rows, in rectified pixels. NaN without views."""
     matrix = np.array(
         [
@@ -85,12 +98,21 @@ def coverage(points: Iterable[npt.NDArray[np.float64]], size: tuple[int, int]) -
     return counts.astype(np.intp)
 
 
-def spread(turns: Sequence[Any], places: Sequence[Any]) -> tuple[float, tuple[float, float]]:
-    """The largest angle between two boards in degrees, and the nearest and farthest of them in metres."""
-    normals = np.stack([cv2.Rodrigues(np.asarray(turn, np.float64))[0][:, 2] for turn in turns])
-    angles = np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1)))
-    distances = [float(np.linalg.norm(place)) for place in places]
-    return float(angles.max()), (min(distances), max(distances))
+def largest_tilt(turns: Sequence[npt.NDArray[np.float64]]) -> float:
+    """The largest angle between two boards in degrees, of their turns as vectors along the axis."""
+    normals = np.stack([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
+    return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1))).max())
+
+
+def view_quality(solution: Solution, views: Sequence[BoardView]) -> Iterator[ViewQuality]:
+    """The errors of each view, and where its board was."""
+    for view, (left, right), turn, place in zip(
+        views, solution.errors.tolist(), solution.turns, solution.places, strict=True
+    ):
+        rotation = cv2.Rodrigues(turn)[0]
+        middle = rotation @ view.object_points.mean(axis=0) + place
+        tilt = float(np.degrees(np.arccos(np.clip(abs(rotation[2, 2]), 0, 1))))
+        yield ViewQuality(view.name, left, right, tilt, float(np.linalg.norm(middle)))
 
 
 def cautions(quality: Quality, rig: Rig, views: int, rejected: int) -> tuple[str, ...]:

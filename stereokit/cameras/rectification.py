@@ -57,7 +57,7 @@ class Rectification:
         Raises:
             InputError: views of another size than the rig's.
         """
-        width, height = self._source
+        height, width = self.left_valid.shape
         for side, view in (("left", left), ("right", right)):
             if view.shape[:2] != (height, width):
                 raise InputError(
@@ -69,11 +69,18 @@ class Rectification:
         )
         return first, second
 
-    @property
-    def _source(self) -> tuple[int, int]:
-        assert self.calibration.width is not None
-        assert self.calibration.height is not None
-        return self.calibration.width, self.calibration.height
+    def seen(self, disparity: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+        """(H, W), the pixels that the left camera saw, and whose match the right one saw.
+
+        A match that lies beside the right view counts as its border does, as it does for pairs that come rectified.
+
+        Args:
+            disparity: (H, W) of the rectified pair.
+        """
+        width = disparity.shape[1]
+        rows, columns = np.indices(disparity.shape)
+        matches = np.clip(np.rint(columns - np.nan_to_num(disparity)), 0, width - 1).astype(np.intp)
+        return self.left_valid & self.right_valid[rows, matches]
 
 
 def rectify(rig: Rig, *, field_of_view: float | None = None, alpha: float = 0.0) -> Rectification:
@@ -101,9 +108,11 @@ def rectify(rig: Rig, *, field_of_view: float | None = None, alpha: float = 0.0)
         raise InputError(f"rectify: the left camera is {left.model!r}, the right one {right.model!r}; expected one")
     if not 0 <= alpha <= 1:
         raise InputError(f"rectify: alpha lies from 0 to 1, got {alpha}")
+    if alpha and (field_of_view is not None or left.model == "fisheye"):
+        raise InputError(f"rectify: alpha={alpha} has no effect on fisheye cameras, nor beside a field of view")
     if field_of_view is not None and not 1 <= field_of_view <= 170:
         raise InputError(f"rectify: the field of view lies from 1 to 170 degrees, got {field_of_view}")
-    rotations, camera_matrix, baseline = _planes(rig, alpha)
+    rotations, camera_matrix = _planes(rig, alpha)
     if field_of_view is not None or left.model == "fisheye":
         camera_matrix = _centred(left, _FISHEYE_VIEW if field_of_view is None else field_of_view)
     fx, cx, cy = camera_matrix[0, 0], camera_matrix[0, 2], camera_matrix[1, 2]
@@ -124,7 +133,7 @@ def rectify(rig: Rig, *, field_of_view: float | None = None, alpha: float = 0.0)
         )
     calibration = Calibration(
         fx=float(fx),
-        baseline=baseline,
+        baseline=rig.baseline,
         cx0=float(cx),
         cx1=float(cx),
         width=left.width,
@@ -135,8 +144,8 @@ def rectify(rig: Rig, *, field_of_view: float | None = None, alpha: float = 0.0)
     return Rectification(calibration, maps[0], maps[1], valid[0], valid[1], rotations[0], rotations[1])
 
 
-def _planes(rig: Rig, alpha: float) -> tuple[list[npt.NDArray[np.float64]], npt.NDArray[np.float64], float]:
-    """The rotations of both cameras, the camera matrix of the rectified pair, and the baseline."""
+def _planes(rig: Rig, alpha: float) -> tuple[list[npt.NDArray[np.float64]], npt.NDArray[np.float64]]:
+    """The rotations of both cameras, and the camera matrix of the rectified pair."""
     left, right = rig.left, rig.right
     size = left.width, left.height
     rotation, translation = np.reshape(rig.rotation, (3, 3)), np.reshape(rig.translation, (3, 1))
@@ -146,7 +155,7 @@ def _planes(rig: Rig, alpha: float) -> tuple[list[npt.NDArray[np.float64]], npt.
     else:
         first, second, projection, *_ = cv2.stereoRectify(*given, flags=cv2.CALIB_ZERO_DISPARITY, alpha=alpha)
     matrix = np.asarray(projection, np.float64)[:, :3]
-    return [np.asarray(first, np.float64), np.asarray(second, np.float64)], matrix, rig.baseline
+    return [np.asarray(first, np.float64), np.asarray(second, np.float64)], matrix
 
 
 def _centred(camera: Camera, field_of_view: float) -> npt.NDArray[np.float64]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -81,6 +82,31 @@ class Camera:
     def coefficients(self) -> npt.NDArray[np.float64]:
         """The distortion as OpenCV's functions take it: at least four numbers."""
         return np.array(self.distortion or (0.0,) * 4)
+
+    def project(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Where the camera sees points (N, 3) of its own axes, in metres: (N, 2), column and row.
+
+        >>> Camera(500.0, 500.0, 319.5, 239.5, 640, 480).project(np.array([[0.1, 0.0, 1.0]])).tolist()
+        [[369.5, 239.5]]
+        """
+        nothing = np.zeros(3)
+        found, _ = self._lens.projectPoints(points.reshape(-1, 1, 3), nothing, nothing, self.matrix, self.coefficients)
+        return np.asarray(found, np.float64).reshape(-1, 2)
+
+    def rays(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """The directions (N, 3), with z = 1, in which the camera sees pixels (N, 2), less than 90 degrees off its axis.
+
+        >>> Camera(500.0, 500.0, 319.5, 239.5, 640, 480).rays(np.array([[369.5, 239.5]])).tolist()
+        [[0.1, 0.0, 1.0]]
+        """
+        given = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2)
+        found = np.asarray(self._lens.undistortPoints(given, self.matrix, self.coefficients)).reshape(-1, 2)
+        return np.concatenate([found, np.ones((len(found), 1))], axis=1)
+
+    @property
+    def _lens(self) -> Any:
+        """OpenCV's functions for the model."""
+        return cv2.fisheye if self.model == "fisheye" else cv2
 
 
 @dataclass(frozen=True)

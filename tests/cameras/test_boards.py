@@ -2,43 +2,28 @@ import numpy as np
 import pytest
 
 from stereokit.cameras.boards import CharucoBoard, Checkerboard, Corners
+from stereokit.cameras.rendering import RigRenderer, board_plane, board_poses, example_rig
 from stereokit.errors import InputError
-from tests.cameras.rendered_rig import (
-    charuco_texture,
-    checkerboard_texture,
-    inside,
-    poses,
-    project,
-    rays,
-    render,
-    rig,
-    to_camera,
-)
-
-RIG = rig()
+from tests.cameras.rendered_rig import inside, placed, project
 
 
 @pytest.mark.parametrize(
-    ("board", "texture"),
+    "board",
     [
-        (Checkerboard(9, 6, 0.025), checkerboard_texture),
-        (Checkerboard(7, 5, 0.03), checkerboard_texture),  # looks alike turned around
-        (CharucoBoard(9, 6, 0.03, 0.022), charuco_texture),
-        (CharucoBoard(8, 6, 0.03, 0.022, legacy=True), charuco_texture),
+        Checkerboard(9, 6, 0.025),
+        Checkerboard(7, 5, 0.03),  # looks alike turned around
+        CharucoBoard(9, 6, 0.03, 0.022),
+        CharucoBoard(8, 6, 0.03, 0.022, legacy=True),
     ],
     ids=["9x6", "7x5", "charuco", "legacy"],
 )
-def test_corners_are_found_where_they_are(board, texture):
-    pattern, rng = texture(board), np.random.default_rng(0)
-    directions = {side: rays(RIG, side) for side in ("left", "right")}
+def test_corners_are_found_where_they_are(board):
+    rig = example_rig()
+    renderer = RigRenderer(rig, samples=2)
     errors = []
-    for turn, centre in poses(3, near=0.3, far=0.6, tilt=20):
-        found, true = [], []
-        for side in ("left", "right"):
-            pose = to_camera(RIG, side, turn, centre)
-            view = render(directions[side], *pattern, *pose, rng)
-            found.append(board.find(view))
-            true.append(project(getattr(RIG, side), board.points, *pose))
+    for i, pose in enumerate(board_poses(3, near=0.3, far=0.6, tilt=20)):
+        found = [board.find(view) for view in renderer([board_plane(board, *pose)], seed=i)]
+        true = [project(rig, side, placed(board.points, *pose)) for side in ("left", "right")]
         if isinstance(board, Checkerboard) and not all(inside(points, 15).all() for points in true):
             continue  # only wholly seen ones can be found
         left, right = board.paired(*found)
