@@ -10,7 +10,7 @@ from stereokit.data.images import IMAGE_SUFFIXES
 from stereokit.errors import InputError, printable
 from stereokit.tables import counted
 
-__all__ = ["ImagePair", "match_pairs"]
+__all__ = ["ImagePair", "find_images", "match_pairs"]
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,7 @@ def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> 
             if not os.path.exists(path):
                 raise InputError(f"{printable(path)} does not exist")
         return [ImagePair(Path(left).stem, Path(left), Path(right))]
-    find = _in_folder if kinds[0] == "folder" else _by_pattern
-    lefts, rights = find(left), find(right)
-    for where, found in ((left, lefts), (right, rights)):
-        if not found:
-            raise InputError(
-                f"no images found at {printable(where)}; expected {', '.join(sorted(IMAGE_SUFFIXES))} files"
-            )
+    lefts, rights = find_images(left), find_images(right)
     alone = [path for a, b in ((lefts, rights), (rights, lefts)) for key, path in a.items() if key not in b]
     if alone:
         shown = ", ".join(printable(path, most=60)[1:-1] for path in alone[:4])
@@ -70,6 +64,19 @@ def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> 
             f"{counted(len(alone), 'image')} without a partner of the same name on the other side: {shown}"
         )
     return [ImagePair(key or lefts[key].stem, lefts[key], rights[key]) for key in sorted(lefts)]
+
+
+def find_images(where: str | os.PathLike[str]) -> dict[str, Path]:
+    """The image files of a folder by their stem, or of a pattern by what its wildcards stand for, sorted.
+
+    Raises:
+        InputError: there are none, or two of one name.
+    """
+    where = os.fspath(where)
+    found = _in_folder(where) if _kind(where) == "folder" else _by_pattern(where)
+    if not found:
+        raise InputError(f"no images found at {printable(where)}; expected {', '.join(sorted(IMAGE_SUFFIXES))} files")
+    return found
 
 
 def _kind(where: str) -> str:

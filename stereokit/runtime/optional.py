@@ -14,6 +14,8 @@ EXTRAS = {
     "openvino": "openvino",
     "nncf": "openvino",
     "laspy": "las",
+    "av": "video",
+    "rosbags": "ros",
 }
 """The extra of stereokit that installs a package."""
 
