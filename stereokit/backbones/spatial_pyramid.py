@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stereokit.backbones.trunk import ResidualTrunk
+from stereokit.backbones.trunk import ResidualTrunk, TrunkMaps
 from stereokit.contracts import FeatureInfo, Features
 from stereokit.layers import ConvNormAct, init_convolutions, relu
 from stereokit.registry import BACKBONES
@@ -42,9 +42,14 @@ class SpatialPyramid(ResidualTrunk):
         channels: of the matching features.
         bias: of the last convolution.
         full_size: see `ResidualTrunk`; then there are guides at stride 1 too, and those at 2 are deeper.
+        halvings: 3 for stride 8, without dilation and the largest window, as in DeepPruner's fast form; then there are
+            guides at stride 8 too.
 
     Shape: (B, 3, H, W), sides multiples of 4, to `Features`: matching (B, channels, H/4, W/4), guides
     {2: 32, 4: channels}.
+
+    Raises:
+        ConfigError: another number of halvings.
 
     Source: Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, section 3.2 and table 1.
 
@@ -52,22 +57,30 @@ class SpatialPyramid(ResidualTrunk):
     torch.Size([1, 32, 16, 24])
     """
 
-    def __init__(self, *, channels: int = 32, bias: bool = False, full_size: bool = False) -> None:
-        super().__init__(full_size=full_size)
-        self.branches = nn.ModuleList([PooledBranch(128, 32, pool) for pool in (8, 16, 32, 64)])
+    def __init__(self, *, channels: int = 32, bias: bool = False, full_size: bool = False, halvings: int = 2) -> None:
+        super().__init__(full_size=full_size, halvings=halvings)
+        self.branches = nn.ModuleList([PooledBranch(128, 32, pool) for pool in (8, 16, 32, 64)[: 6 - halvings]])
+        beside = 64 if halvings == 2 else 128
         self.fuse = nn.Sequential(
-            ConvNormAct(64 + 128 + 4 * 32, 128, activation=relu), nn.Conv2d(128, channels, 1, bias=bias)
+            ConvNormAct(beside + 128 + 32 * len(self.branches), 128, activation=relu),
+            nn.Conv2d(128, channels, 1, bias=bias),
         )
         init_convolutions(self.fuse)
-        guides = {2: 32, 4: channels}
+        guides = {2: 32, 4: channels} if halvings == 2 else {2: 32, 4: 64, 8: channels}
         self.info = FeatureInfo(
-            matching_channels={4: channels}, guide_channels={1: 32, **guides} if full_size else guides
+            matching_channels={self.multiple: channels}, guide_channels={1: 32, **guides} if full_size else guides
         )
 
     def forward(self, images: Tensor) -> Features:
         """Images to features."""
         maps = self.maps(images)
-        pooled = (branch(maps.layer4) for branch in self.branches)
-        matching = self.fuse(torch.cat((maps.layer2, maps.layer4, *pooled), dim=1))
+        matching = self.pooled(maps)
         guides = {1: maps.first, 2: maps.layer1} if self.full_size else {2: maps.stem}
-        return Features(matching={4: matching}, guides={**guides, 4: matching})
+        if self.multiple == 8:
+            guides[4] = maps.layer2
+        return Features(matching={self.multiple: matching}, guides={**guides, self.multiple: matching})
+
+    def pooled(self, maps: TrunkMaps) -> Tensor:
+        """What the residual layers give, to the matching features."""
+        beside = maps.layer2 if self.multiple == 4 else maps.layer3
+        return self.fuse(torch.cat((beside, maps.layer4, *(branch(maps.layer4) for branch in self.branches)), dim=1))

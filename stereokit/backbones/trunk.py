@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from torch import Tensor, nn
 
+from stereokit.errors import ConfigError
 from stereokit.layers import ConvNormAct, relu, residual_layer
 
 __all__ = ["ResidualTrunk", "TrunkMaps"]
@@ -21,9 +22,9 @@ class TrunkMaps(NamedTuple):
     layer2: Tensor
     """(B, 64, H/4, W/4)."""
     layer3: Tensor
-    """(B, 128, H/4, W/4)."""
+    """(B, 128, H/4, W/4); of stride 8 with three halvings."""
     layer4: Tensor
-    """(B, 128, H/4, W/4)."""
+    """(B, 128, H/4, W/4); likewise."""
 
 
 class ResidualTrunk(nn.Module):
@@ -31,6 +32,10 @@ class ResidualTrunk(nn.Module):
 
     Args:
         full_size: the third convolution halves the size, in place of the first one.
+        halvings: 3 to halve the size a third time, in place of the dilation.
+
+    Raises:
+        ConfigError: another number of halvings.
 
     Source: Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, table 1, up to conv4_x.
 
@@ -39,22 +44,23 @@ class ResidualTrunk(nn.Module):
     torch.Size([1, 128, 8, 12])
     """
 
-    multiple = 4
-
-    def __init__(self, *, full_size: bool = False) -> None:
+    def __init__(self, *, full_size: bool = False, halvings: int = 2) -> None:
         super().__init__()
+        if halvings not in (2, 3):
+            raise ConfigError(f"halvings={halvings} of the residual layers: use 2 for stride 4, or 3 for stride 8")
         self.full_size = full_size
+        self.multiple = 2**halvings
         halves_at = 2 if full_size else 0
         self.stem = nn.Sequential(
             *(ConvNormAct(32 if i else 3, 32, stride=2 if i == halves_at else 1, activation=relu) for i in range(3))
         )
         self.layer1 = residual_layer(32, 32, 3)
         self.layer2 = residual_layer(32, 64, 16, stride=2)
-        self.layer3 = residual_layer(64, 128, 3)
-        self.layer4 = residual_layer(128, 128, 3, dilation=2)
+        self.layer3 = residual_layer(64, 128, 3, stride=halvings - 1)
+        self.layer4 = residual_layer(128, 128, 3, dilation=4 - halvings)
 
     def maps(self, images: Tensor) -> TrunkMaps:
-        """(B, 3, H, W), sides multiples of 4, to the map of each part."""
+        """(B, 3, H, W), sides multiples of `multiple`, to the map of each part."""
         first = self.stem[1](self.stem[0](images))
         stem = self.stem[2](first)
         layer1 = self.layer1(stem)

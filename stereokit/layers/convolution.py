@@ -80,7 +80,7 @@ class ConvNormAct(nn.Sequential):
         out_channels: of the output.
         kernel_size: odd for "same" padding at stride 1.
         dims: 2 for maps (B, C, H, W), 3 for volumes (B, C, D, H, W).
-        stride: halves every dimension where it is 2.
+        stride: halves every dimension where it is 2; or one for each dimension.
         dilation: padding grows with it, so that the size stays.
         transposed: upsample by `stride` instead: kernel 4 with stride 2, or kernel 3 with stride 2, doubles every
             dimension.
@@ -105,7 +105,7 @@ class ConvNormAct(nn.Sequential):
         kernel_size: int = 3,
         *,
         dims: Literal[2, 3] = 2,
-        stride: int = 1,
+        stride: int | tuple[int, ...] = 1,
         dilation: int = 1,
         transposed: bool = False,
         groups: int = 1,
@@ -115,12 +115,16 @@ class ConvNormAct(nn.Sequential):
         order: Literal["norm_act", "act_norm"] = "norm_act",
         padding_mode: str = "zeros",
     ) -> None:
-        extra: dict[str, Any] = {"output_padding": kernel_size % 2} if transposed else {}
+        strides = (stride,) * dims if isinstance(stride, int) else stride
+        # what an odd kernel lacks of twice the size
+        extra: dict[str, Any] = (
+            {"output_padding": tuple(kernel_size % 2 * (step - 1) for step in strides)} if transposed else {}
+        )
         conv = _CONV[dims, transposed](
             in_channels,
             out_channels,
             kernel_size,
-            stride=stride,
+            stride=strides,
             padding=dilation * (kernel_size - 1) // 2,
             dilation=dilation,
             groups=groups,

@@ -2,6 +2,7 @@
 
 from stereokit.losses.cross_entropy import CrossEntropy, masked_cross_entropy, truth_of_cells
 from stereokit.losses.l1 import L1, mean_of_cells
+from stereokit.losses.quantile import Quantile, masked_pinball
 from stereokit.losses.robust import Robust
 from stereokit.losses.smooth_l1 import SmoothL1, masked_smooth_l1
 from stereokit.losses.total import Loss, named_loss, stereo_loss
@@ -10,9 +11,11 @@ __all__ = [
     "L1",
     "CrossEntropy",
     "Loss",
+    "Quantile",
     "Robust",
     "SmoothL1",
     "masked_cross_entropy",
+    "masked_pinball",
     "masked_smooth_l1",
     "mean_of_cells",
     "named_loss",

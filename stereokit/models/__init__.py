@@ -3,6 +3,7 @@
 from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
 from stereokit.models.coex import coex
 from stereokit.models.crl import CRL
+from stereokit.models.deeppruner import DeepPrunerBest, DeepPrunerFast
 from stereokit.models.dispnetc import DispNetC
 from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
@@ -13,6 +14,8 @@ from stereokit.models.stereonet import stereonet_8x, stereonet_16x
 
 __all__ = [
     "CRL",
+    "DeepPrunerBest",
+    "DeepPrunerFast",
     "DispNetC",
     "ResNetCorr",
     "SegStereo",

@@ -122,6 +122,10 @@ def _casstereo(name: str, lowest: float, head1: str) -> Golden:
 
 ELSEWHERE = "held to its recordings in tests/weights/test_published.py"
 
+CAFFE = "published for Caffe, with layers for GPUs alone"
+
+NOT_COMMERCIAL = "its code, weights and outputs are not for commercial use; held to its keys in test_deeppruner.py"
+
 STEREONET = {
     "feature": Tap("backbone.head", left=True),
     "cost": Tap("aggregation", item=0, sign=-1),
@@ -173,16 +177,23 @@ CASES: dict[str, Case] = {
         size=(64, 128),
     ),
     "crl": Case(
-        parameters=78_765_599, golden="published for Caffe, with layers for GPUs alone", loss="l1", size=(64, 128)
+        parameters=78_765_599, golden=CAFFE, loss="l1", size=(64, 128)
     ),
     # its classifier of 4,883 weights is left out
     "segstereo": Case(
         parameters=60_803_252 - 4_883,
-        golden="published for Caffe, with layers for GPUs alone",
+        golden=CAFFE,
         loss="l1",
         rounding=0.3,  # with random weights, float32 and float64 differ by 0.02 px in the mean
     ),
-    "resnetcorr": Case(parameters=37_214_369, golden="published for Caffe, with layers for GPUs alone", loss="l1"),
+    "resnetcorr": Case(parameters=37_214_369, golden=CAFFE, loss="l1"),
+    # whole candidates jump where rounding moves them across
+    "deeppruner_best": Case(
+        parameters=7_390_142, golden=NOT_COMMERCIAL, loss="quantile", max_disparity=48, size=(64, 96), rounding=0.5
+    ),
+    "deeppruner_fast": Case(
+        parameters=7_469_646, golden=NOT_COMMERCIAL, loss="quantile", max_disparity=96, size=(64, 128), rounding=0.5
+    ),
 }
 
 

@@ -57,6 +57,10 @@ SWAPS = [
     ("lightstereo_s", {"upsampler": "superpixel"}),
     ("lightstereo_s", {"aggregation": "hourglass"}),
     ("lightstereo_s", {"cost": "concatenation"}),
+    ("gwcnet_g", {"candidates": "patch_match", "aggregation": "plain", "upsampler": "bilinear"}),
+    ("psmnet", {"candidates": {"name": "patch_match", "particles": 14}, "upsampler": "bilinear"}),
+    ("psmnet", {"backbone": {"name": "spatial_pyramid", "halvings": 3}, "stride": 8, "upsampler": "bilinear"}),
+    ("coex", {"backbone": {"name": "spatial_pyramid", "halvings": 3}, "stride": 8, "upsampler": "bilinear"}),
 ]
 
 
