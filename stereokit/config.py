@@ -46,7 +46,7 @@ NetworkConfig: TypeAlias = Mapping[str, Any]
 
 Statistics = Literal["fixed", "image"]
 Padding = Literal["replicate", "zeros", "black"]
-Corner = Literal["bottom_right", "top_right"]
+Corner = Literal["bottom_right", "top_right", "top_left"]
 """Of `Preprocessing`."""
 
 

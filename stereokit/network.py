@@ -32,8 +32,8 @@ class Preprocessing:
         statistics: "fixed" for these numbers; "image" for each image's own mean and standard deviation per channel.
         padding: up to a multiple of the network's: the "replicate"d edge, "zeros" after normalisation as most published
             networks have, or "black" before it.
-        corner: where the padding goes in eval mode, "bottom_right" or "top_right". In training mode it is always
-            "bottom_right", so that coarse predictions lie as the image does.
+        corner: where the padding goes in eval mode, "bottom_right", "top_right" or "top_left". In training mode it is
+            always "bottom_right", so that coarse predictions lie as the image does.
 
     Raises:
         ConfigError: another choice, or no three numbers.
@@ -157,11 +157,14 @@ class StereoNetwork(
         self._check_images(left, right)
         height, width = left.shape[-2:]
         output = self.match(self._prepare(left), self._prepare(right))
-        # the padding above is what the image does not fill
-        top = output.disparity.shape[-2] - height if self._pads_above else 0
+        # the padding above and on the left is what the image does not fill
+        top, start = (
+            whole - size if pads else 0
+            for whole, size, pads in zip(output.disparity.shape[-2:], (height, width), self._pads_before, strict=True)
+        )
 
         def cut(x: Tensor) -> Tensor:
-            return x[:, top : top + height, :width] if top else x[:, :height, :width]
+            return x[:, top : top + height, start : start + width]
 
         return StereoOutput(
             disparity=cut(output.disparity),
@@ -222,8 +225,10 @@ class StereoNetwork(
         return load_folder(str(folder_or_id), **hub_arguments)
 
     @property
-    def _pads_above(self) -> bool:
-        return self.preprocessing.corner == "top_right" and not self.training
+    def _pads_before(self) -> tuple[bool, bool]:
+        """Whether the padding lies above and on the left of the image."""
+        corner = "bottom_right" if self.training else self.preprocessing.corner
+        return corner.startswith("top"), corner.endswith("left")
 
     def _prepare(self, images: Tensor) -> Tensor:
         """Images (B, 3, H, W), normalised and padded up to the multiple."""
@@ -243,9 +248,10 @@ class StereoNetwork(
     def _pad(self, images: Tensor, mode: str) -> Tensor:
         height, width = images.shape[-2:]
         # floor division, and no modulo of a negative number, which torch.export can't reason about
-        more, right = ((size + self.multiple - 1) // self.multiple * self.multiple - size for size in (height, width))
-        top, bottom = (more, 0) if self._pads_above else (0, more)
-        return F.pad(images, (0, right, top, bottom), mode=mode)
+        below, right = ((size + self.multiple - 1) // self.multiple * self.multiple - size for size in (height, width))
+        above, left = self._pads_before
+        vertical = (below, 0) if above else (0, below)
+        return F.pad(images, (*((right, 0) if left else (0, right)), *vertical), mode=mode)
 
     def _check_images(self, left: Tensor, right: Tensor) -> None:
         for name, image in (("left", left), ("right", right)):

@@ -331,6 +331,25 @@ def test_padding_follows_normalisation(padding, border):
     assert_close(seen[..., 38:], last_column.expand(2, 3, 36, 2))
 
 
+@pytest.mark.parametrize(
+    ("corner", "rows", "columns"),
+    [("bottom_right", (0, 3), (0, 2)), ("top_right", (3, 0), (0, 2)), ("top_left", (3, 0), (2, 0))],
+)
+def test_padding_lies_in_the_corner_that_is_asked_for_and_is_cut_again(corner, rows, columns):
+    left, right = pair(33, 38)
+    padded = [F.pad(image, (*columns, *rows), mode="replicate") for image in (left, right)]
+    model = plain_network(corner=corner).eval()
+    disparity = model(left, right).disparity
+    assert_close(model.backbone.seen, (torch.cat(padded) - 0.5) / 0.25)
+    whole = plain_network().eval()(*padded).disparity
+    assert_close(disparity, whole[:, rows[0] : rows[0] + 33, columns[0] : columns[0] + 38])
+    # coarse predictions lie as the image does in training
+    model.train()(left, right)
+    assert_close(
+        model.backbone.seen, (torch.cat([F.pad(i, (0, 2, 0, 3), mode="replicate") for i in (left, right)]) - 0.5) / 0.25
+    )
+
+
 def test_preprocessing_is_no_weight():
     model = plain_network()
     assert list(model.state_dict()) == []

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stereokit.backbones.trunk import ResidualTrunk, TrunkMaps
+from stereokit.backbones.trunk import ResidualTrunk
 from stereokit.contracts import FeatureInfo, Features
 from stereokit.layers import ConvNormAct, init_convolutions, relu
 from stereokit.registry import BACKBONES
@@ -42,6 +42,7 @@ class SpatialPyramid(ResidualTrunk):
         channels: of the matching features.
         bias: of the last convolution.
         full_size: see `ResidualTrunk`; then there are guides at stride 1 too, and those at 2 are deeper.
+        deep_guides: the guides at stride 2 come from behind the first residual layers, in place of ahead of them.
         halvings: 3 for stride 8, without dilation and the largest window, as in DeepPruner's fast form; then there are
             guides at stride 8 too.
 
@@ -57,8 +58,17 @@ class SpatialPyramid(ResidualTrunk):
     torch.Size([1, 32, 16, 24])
     """
 
-    def __init__(self, *, channels: int = 32, bias: bool = False, full_size: bool = False, halvings: int = 2) -> None:
+    def __init__(
+        self,
+        *,
+        channels: int = 32,
+        bias: bool = False,
+        full_size: bool = False,
+        deep_guides: bool = False,
+        halvings: int = 2,
+    ) -> None:
         super().__init__(full_size=full_size, halvings=halvings)
+        self.deep_guides = deep_guides or full_size
         self.branches = nn.ModuleList([PooledBranch(128, 32, pool) for pool in (8, 16, 32, 64)[: 6 - halvings]])
         beside = 64 if halvings == 2 else 128
         self.fuse = nn.Sequential(
@@ -74,13 +84,12 @@ class SpatialPyramid(ResidualTrunk):
     def forward(self, images: Tensor) -> Features:
         """Images to features."""
         maps = self.maps(images)
-        matching = self.pooled(maps)
-        guides = {1: maps.first, 2: maps.layer1} if self.full_size else {2: maps.stem}
+        pooled = (branch(maps.layer4) for branch in self.branches)
+        beside = maps.layer2 if self.multiple == 4 else maps.layer3
+        matching = self.fuse(torch.cat((beside, maps.layer4, *pooled), dim=1))
+        guides = {2: maps.layer1 if self.deep_guides else maps.stem}
+        if self.full_size:
+            guides[1] = maps.first
         if self.multiple == 8:
             guides[4] = maps.layer2
         return Features(matching={self.multiple: matching}, guides={**guides, self.multiple: matching})
-
-    def pooled(self, maps: TrunkMaps) -> Tensor:
-        """What the residual layers give, to the matching features."""
-        beside = maps.layer2 if self.multiple == 4 else maps.layer3
-        return self.fuse(torch.cat((beside, maps.layer4, *(branch(maps.layer4) for branch in self.branches)), dim=1))

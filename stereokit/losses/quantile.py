@@ -5,6 +5,7 @@ from torch import Tensor
 
 from stereokit.contracts import Prediction, at_full_size
 from stereokit.errors import ConfigError, InputError
+from stereokit.losses.known import mean_over_known
 from stereokit.losses.smooth_l1 import masked_smooth_l1
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
@@ -45,7 +46,7 @@ def masked_pinball(disparity: Tensor, truth: Tensor, quantile: float, *, max_dis
     known = valid_pixels(truth, max_disparity=max_disparity)
     apart = torch.where(known, truth.to(disparity.dtype), disparity.detach()) - disparity
     distance = torch.maximum(quantile * apart, (quantile - 1) * apart)
-    return torch.where(known, distance, 0).sum() / known.sum().clamp(min=1)
+    return mean_over_known(distance, known)
 
 
 @LOSSES.register("quantile")
@@ -72,8 +73,7 @@ class Quantile:
 
     def __call__(self, prediction: Prediction, truth: Tensor, *, max_disparity: float | None) -> Tensor:
         """The mean over the known pixels; 0, with a gradient of 0, where there is none."""
-        height, width = truth.shape[-2:]
-        disparity = at_full_size(prediction)[:, :height, :width]
+        disparity = at_full_size(prediction, truth.shape[-2:])
         smooth = masked_smooth_l1(disparity, truth, max_disparity=max_disparity)
         if prediction.quantile is None:
             return smooth

@@ -14,16 +14,15 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.backbones.spatial_pyramid import SpatialPyramid
-from stereokit.backbones.trunk import TrunkMaps
 from stereokit.candidates.neighborhood import spread_candidates
 from stereokit.candidates.patch_match import PatchMatch
 from stereokit.checks import check_max_disparity
-from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
-from stereokit.contracts import Distribution, Features, Prediction, StereoOutput, at_full_size
+from stereokit.config import IMAGENET_MEAN, IMAGENET_STD, Corner, Padding, Statistics
+from stereokit.contracts import Distribution, Features, Prediction, StereoOutput
 from stereokit.costs import concatenation_volume
-from stereokit.layers import ConvNormAct, at_least_float32, leaky_relu
+from stereokit.layers import ConvNormAct, at_least_float32, bilinear_upsample, leaky_relu
 from stereokit.models.psmnet import BRANCHES, TRUNK
-from stereokit.network import Corner, Padding, Preprocessing, Statistics, StereoNetwork
+from stereokit.network import Preprocessing, StereoNetwork
 from stereokit.registry import MODELS
 from stereokit.regression import SoftArgmin
 from stereokit.weights.key_map import KeyMap, publish
@@ -142,7 +141,7 @@ class DeepPruner(StereoNetwork):
     Args:
         stride: of the maps that are compared.
         max_disparity: D, in px.
-        low_level: channels of the maps by which disparities are refined, from coarse to fine.
+        refined_at: strides of the guides by which disparities are refined, from coarse to fine.
         loss_weights: of the predictions: both ends of the range, aggregated, and after each refinement.
         preprocessing: see `Preprocessing`.
     """
@@ -152,7 +151,7 @@ class DeepPruner(StereoNetwork):
         *,
         stride: Literal[4, 8],
         max_disparity: int,
-        low_level: Sequence[int],
+        refined_at: Sequence[int],
         loss_weights: Sequence[float],
         preprocessing: Preprocessing,
     ) -> None:
@@ -164,7 +163,8 @@ class DeepPruner(StereoNetwork):
             preprocessing=preprocessing,
         )
         self.stride = stride
-        self.backbone = SpatialPyramid(halvings=2 if stride == 4 else 3)
+        self.refined_at = tuple(refined_at)
+        self.backbone = SpatialPyramid(deep_guides=True, halvings=2 if stride == 4 else 3)
         self.patch_match = PatchMatch(stride=stride, max_disparity=max_disparity)
         first, pruned = self.patch_match.planes, SAMPLES + 2
         self.volume = CandidateVolume(32)
@@ -178,17 +178,19 @@ class DeepPruner(StereoNetwork):
         self.mend_features = conv(pruned, pruned, 5, bias=True)
         # the first of them sees the logits too
         self.refinements = nn.ModuleList(
-            Refinement(channels + (0 if i else pruned)) for i, channels in enumerate(low_level)
+            Refinement(self.backbone.info.guide_channels[at] + (0 if i else pruned)) for i, at in enumerate(refined_at)
         )
 
     def match(self, left: Tensor, right: Tensor) -> StereoOutput:
         """Images, normalised and padded, to the output."""
-        of_left, of_right = self.backbone.maps(left), self.backbone.maps(right)
-        features = self.backbone.pooled(of_left), self.backbone.pooled(of_right)
+        matching, guides = self.backbone(torch.cat((left, right)))
+        features = matching[self.stride].chunk(2)
+        low_level = [guides[stride].chunk(2)[0] for stride in self.refined_at]
 
         # candidates, and the range that they leave
-        by_stride = (Features({self.stride: maps}, {}) for maps in features)
-        candidates = self.patch_match(*by_stride, None).values / self.stride
+        candidates = (
+            self.patch_match(*(Features({self.stride: maps}, {}) for maps in features), None).values / self.stride
+        )
         volume = self.volume(*features, candidates)
         low, high = (self._end(i, volume, candidates) for i in range(2))
         maps = [make(end.logits) for make, end in zip(self.end_features, (low, high), strict=True)]
@@ -203,8 +205,8 @@ class DeepPruner(StereoNetwork):
         aggregated = F.relu(self.mend_disparity(doubled(2 * disparity.unsqueeze(1))))
         estimates = [aggregated]
         further = [self.mend_features(doubled(logits))]
-        for refine, low_level in zip(self.refinements, self._low_level(of_left), strict=True):
-            estimates.append(doubled(2 * refine(estimates[-1], low_level, *further)))
+        for refine, maps_at in zip(self.refinements, low_level, strict=True):
+            estimates.append(doubled(2 * refine(estimates[-1], maps_at, *further)))
             further = []
 
         width = left.shape[-1]
@@ -221,15 +223,12 @@ class DeepPruner(StereoNetwork):
                 for end, quantile in zip((low, high), QUANTILES, strict=True)
             ]
             return StereoOutput(best.disparity, (*ends, *coarse, best))
-        return StereoOutput(best.disparity, (best,), at_full_size(Prediction(confidence, self.stride)))
+        return StereoOutput(best.disparity, (best,), bilinear_upsample(confidence, self.stride))
 
     def _end(self, which: int, volume: Tensor, candidates: Tensor) -> End:
         logits = self.ends[which](volume)
         disparity: Tensor = self.regression(logits, candidates).unsqueeze(1)
         return End(F.relu(self.end_disparity[which](disparity)), logits)
-
-    def _low_level(self, maps: TrunkMaps) -> list[Tensor]:
-        return [maps.layer1] if self.stride == 4 else [maps.layer2, maps.layer1]
 
 
 def pruned_candidates(low: Tensor, high: Tensor, levels: int) -> Tensor:
@@ -288,7 +287,7 @@ class DeepPrunerBest(DeepPruner):
         super().__init__(
             stride=4,
             max_disparity=max_disparity,
-            low_level=(32,),
+            refined_at=(2,),
             loss_weights=(1.0, 1.0, 1.0, 1.3),
             preprocessing=Preprocessing(mean=mean, std=std, statistics=statistics, padding=padding, corner=corner),
         )
@@ -329,7 +328,7 @@ class DeepPrunerFast(DeepPruner):
         super().__init__(
             stride=8,
             max_disparity=max_disparity,
-            low_level=(64, 32),
+            refined_at=(4, 2),
             loss_weights=(1.0, 1.0, 1.0, 1.3, 1.6),
             preprocessing=Preprocessing(mean=mean, std=std, statistics=statistics, padding=padding, corner=corner),
         )

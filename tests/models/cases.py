@@ -176,9 +176,7 @@ CASES: dict[str, Case] = {
         loss="l1",
         size=(64, 128),
     ),
-    "crl": Case(
-        parameters=78_765_599, golden=CAFFE, loss="l1", size=(64, 128)
-    ),
+    "crl": Case(parameters=78_765_599, golden=CAFFE, loss="l1", size=(64, 128)),
     # its classifier of 4,883 weights is left out
     "segstereo": Case(
         parameters=60_803_252 - 4_883,
