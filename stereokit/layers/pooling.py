@@ -44,9 +44,10 @@ def tent_means(x: Tensor, height: int, width: int) -> Tensor:
             raise InputError(f"tent_means gives sides from 2 to those of the maps, {tuple(x.shape[-2:])}; got {wanted}")
 
     def tents(given: int, wanted: int) -> Tensor:
-        step = (given - 1) / (wanted - 1)
-        apart = torch.arange(given, device=x.device) - step * torch.arange(wanted, device=x.device).unsqueeze(1)
-        return (1 - apart.abs() / step).clamp(min=0)
+        here, there = (torch.arange(n, device=x.device).to(torch.float32) for n in (given, wanted))
+        # a tensor, and no number, which ONNX has no product with where the size is open
+        step = here[-1:] / there[-1:]
+        return (1 - (here - step * there.unsqueeze(1)).abs() / step).clamp(min=0.0)
 
     return _means(x, tents(x.shape[-2], height), tents(x.shape[-1], width))
 
