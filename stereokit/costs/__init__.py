@@ -9,6 +9,7 @@ from stereokit.costs.correlation import (
     groupwise_correlation_volume,
 )
 from stereokit.costs.difference import DifferenceVolume, difference_volume
+from stereokit.costs.pair_lookup import PairLookup, correlation_pyramid, look_up, look_up_on_demand
 from stereokit.costs.signed_correlation import SignedCorrelation, signed_correlation
 
 __all__ = [
@@ -17,10 +18,14 @@ __all__ = [
     "CorrelationVolume",
     "DifferenceVolume",
     "GroupwiseCorrelationVolume",
+    "PairLookup",
     "SignedCorrelation",
     "concatenation_volume",
+    "correlation_pyramid",
     "correlation_volume",
     "difference_volume",
     "groupwise_correlation_volume",
+    "look_up",
+    "look_up_on_demand",
     "signed_correlation",
 ]

@@ -1,6 +1,7 @@
 """Layers that blocks share."""
 
 from stereokit.layers.casting import as_float, at_least_float32
+from stereokit.layers.conv_gru import ConvGRU
 from stereokit.layers.convolution import (
     Activation,
     ConvNormAct,
@@ -21,6 +22,7 @@ from stereokit.layers.warp import warp
 
 __all__ = [
     "Activation",
+    "ConvGRU",
     "ConvNormAct",
     "InvertedResidual",
     "Norm",

@@ -1,8 +1,10 @@
 """Residual blocks of 2D convolutions."""
 
+from functools import partial
+
 from torch import Tensor, nn
 
-from stereokit.layers.convolution import Activation, ConvNormAct, relu
+from stereokit.layers.convolution import Activation, ConvNormAct, Norm, relu
 
 __all__ = ["ResidualBlock", "residual_layer"]
 
@@ -18,6 +20,8 @@ class ResidualBlock(nn.Module):
         activation: of the first convolution.
         last_activation: of the second convolution, before the sum.
         after_sum: activation after the sum; None for none.
+        norm: of all convolutions.
+        bias: likewise.
     """
 
     def __init__(
@@ -30,14 +34,17 @@ class ResidualBlock(nn.Module):
         activation: Activation = relu,
         last_activation: Activation | None = None,
         after_sum: Activation | None = None,
+        norm: Norm = "batch",
+        bias: bool = False,
     ) -> None:
         super().__init__()
-        self.conv1 = ConvNormAct(in_channels, out_channels, stride=stride, dilation=dilation, activation=activation)
-        self.conv2 = ConvNormAct(out_channels, out_channels, dilation=dilation, activation=last_activation)
+        conv = partial(ConvNormAct, norm=norm, bias=bias)
+        self.conv1 = conv(in_channels, out_channels, stride=stride, dilation=dilation, activation=activation)
+        self.conv2 = conv(out_channels, out_channels, dilation=dilation, activation=last_activation)
         self.skip = (
             nn.Identity()
             if stride == 1 and in_channels == out_channels
-            else ConvNormAct(in_channels, out_channels, 1, stride=stride, activation=None)
+            else conv(in_channels, out_channels, 1, stride=stride, activation=None)
         )
         self.after_sum = nn.Identity() if after_sum is None else after_sum()
 

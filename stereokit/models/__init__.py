@@ -9,6 +9,7 @@ from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
 from stereokit.models.lightstereo import lightstereo_l, lightstereo_m, lightstereo_s
 from stereokit.models.psmnet import psmnet
+from stereokit.models.raft_stereo import RAFTStereo, RAFTStereoRealtime
 from stereokit.models.segstereo import ResNetCorr, SegStereo
 from stereokit.models.stereonet import stereonet_8x, stereonet_16x
 
@@ -17,6 +18,8 @@ __all__ = [
     "DeepPrunerBest",
     "DeepPrunerFast",
     "DispNetC",
+    "RAFTStereo",
+    "RAFTStereoRealtime",
     "ResNetCorr",
     "SegStereo",
     "casstereo_gwc",

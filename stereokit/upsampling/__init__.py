@@ -1,5 +1,6 @@
 """Logits or disparity to a finer resolution."""
 
+from stereokit.upsampling.convex import ConvexUpsampler, ConvexWeights
 from stereokit.upsampling.image_superpixel import ImageSuperpixelUpsampler
 from stereokit.upsampling.interpolation import (
     BilinearUpsampler,
@@ -11,6 +12,8 @@ from stereokit.upsampling.superpixel import SuperpixelUpsampler, superpixel_upsa
 
 __all__ = [
     "BilinearUpsampler",
+    "ConvexUpsampler",
+    "ConvexWeights",
     "ImageSuperpixelUpsampler",
     "NoUpsampler",
     "SuperpixelUpsampler",

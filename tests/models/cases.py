@@ -57,6 +57,8 @@ class Golden:
         overrides: of `load_published`.
         logits: largest difference of the taps, in parts of their spread.
         pixels: share of pixels whose disparity is within 0.01 px.
+        disparity: the name of its array.
+        sign: -1 where it is flow to the left.
     """
 
     name: str
@@ -66,6 +68,8 @@ class Golden:
     overrides: Mapping[str, Any] = field(default_factory=dict)
     logits: float = 1e-4
     pixels: float = 1.0
+    disparity: str = "disparity"
+    sign: int = 1
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ class Case:
         exports: the formats that it can be written in.
         no_export: why not the others.
         max_disparity: that the quick tests run at.
+        overrides: likewise.
         size: that the quick tests run at, height and width; multiples of what the network pads to.
         seam: the mean difference in px that tiles make, at most, with random weights.
         rounding: px that kernels which add in another order may differ by, at nearly all pixels, with random weights.
@@ -92,6 +97,7 @@ class Case:
     exports: tuple[str, ...] = ALL_EXPORTS
     no_export: str = ""
     max_disparity: int = 64
+    overrides: Mapping[str, Any] = field(default_factory=dict)
     size: tuple[int, int] = (64, 96)
     seam: float = 3.0
     rounding: float = 0.01
@@ -121,6 +127,27 @@ def _casstereo(name: str, lowest: float, head1: str) -> Golden:
 
 
 ELSEWHERE = "held to its recordings in tests/weights/test_published.py"
+
+
+def _raft(name: str, sides: str, levels: int) -> Golden:
+    taps = {
+        "feature_left": Tap("features", f"8/{sides}", left=True),
+        "lookup_1": Tap("lookup", sides),
+        "delta_1": Tap("update.head"),
+        "hidden1_0": Tap("update.units.0", f"8/{sides}"),
+    }
+    if levels == 3:
+        taps |= {"hidden1_1": Tap("update.units.1", "8/1/1"), "hidden1_2": Tap("update.units.2", "8/1/1")}
+    return Golden(
+        name,
+        norm=(0.5, 0.7),
+        taps=taps,
+        overrides={"test_iterations": 4},
+        logits=5e-4,
+        disparity="flow",
+        sign=-1,
+    )
+
 
 CAFFE = "published for Caffe, with layers for GPUs alone"
 
@@ -191,6 +218,20 @@ CASES: dict[str, Case] = {
     ),
     "deeppruner_fast": Case(
         parameters=7_469_646, golden=NOT_COMMERCIAL, loss="quantile", max_disparity=96, size=(64, 128), rounding=0.5
+    ),
+    "raft_stereo": Case(
+        parameters=11_116_176,
+        golden=_raft("raft_stereo", "2/2", levels=3),
+        loss="l1",
+        overrides={"iterations": 2, "test_iterations": 2},
+    ),
+    # of the published 9,865,568 never read ones are left out
+    "raft_stereo_realtime": Case(
+        parameters=9_865_568 - 1_788_416,
+        golden=_raft("raft_stereo_realtime", "1/1", levels=2),
+        loss="l1",
+        overrides={"iterations": 2, "test_iterations": 2},
+        size=(64, 128),
     ),
 }
 

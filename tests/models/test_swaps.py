@@ -55,6 +55,8 @@ SWAPS = [
     ("coex", {"upsampler": "image_superpixel"}),
     ("psmnet", {"upsampler": "image_superpixel"}),
     ("lightstereo_s", {"upsampler": "superpixel"}),
+    ("coex", {"upsampler": "convex"}),
+    ("lightstereo_s", {"upsampler": "convex"}),
     ("lightstereo_s", {"aggregation": "hourglass"}),
     ("lightstereo_s", {"cost": "concatenation"}),
     ("gwcnet_g", {"candidates": "patch_match", "aggregation": "plain", "upsampler": "bilinear"}),
