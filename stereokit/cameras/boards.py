@@ -110,6 +110,9 @@ class CharucoBoard:
             raise InputError(f"board: a marker is smaller than its square, got {self.marker} and {self.square} m")
         if not self.dictionary.startswith("DICT_") or not hasattr(cv2.aruco, self.dictionary):
             raise InputError(f"board: unknown dictionary {self.dictionary[:40]!r}; use a name such as 'DICT_5X5_100'")
+        there, needed = len(self._dictionary().bytesList), self.columns * self.rows // 2
+        if there < needed:
+            raise InputError(f"board: {needed} markers are needed, {self.dictionary} has {there}; use a larger one")
 
     @property
     def points(self) -> Points:
@@ -118,7 +121,7 @@ class CharucoBoard:
 
     @property
     def modules(self) -> int:
-        """Of a marker along its side, with its border."""
+        """How many modules a marker has along its side, with its border."""
         return int(self._dictionary().markerSize) + 2
 
     def find(self, grey: Grey) -> Corners | None:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from stereokit.cameras.boards import Board, CharucoBoard, Checkerboard
 
-__all__ = ["board_picture", "board_size", "dark_rectangles"]
+__all__ = ["board_picture", "board_size", "dark_rectangles", "draw_rectangles"]
 
 Rectangles: TypeAlias = npt.NDArray[np.float64]
 
@@ -54,8 +54,19 @@ def board_picture(board: Board, per_metre: float, *, border: float = 0.0) -> npt
     """
     width, height = (side + 2 * border for side in board_size(board))
     shape = round(height * per_metre), round(width * per_metre)
+    return draw_rectangles(dark_rectangles(board) + np.array([border, border, 0, 0]), per_metre, shape)
+
+
+def draw_rectangles(rectangles: Rectangles, per_metre: float, shape: tuple[int, int]) -> npt.NDArray[np.uint8]:
+    """Rectangles in black on white, see `board_picture`.
+
+    Args:
+        rectangles: (N, 4), left, top, width and height in metres.
+        per_metre: pixels.
+        shape: rows and columns.
+    """
     ink = np.zeros(shape, np.float32)
-    for left, top, across, down in (dark_rectangles(board) + np.array([border, border, 0, 0])) * per_metre:
+    for left, top, across, down in rectangles * per_metre:
         rows, row_cover = _covered(top, top + down, shape[0])
         columns, column_cover = _covered(left, left + across, shape[1])
         ink[rows, columns] += np.outer(row_cover, column_cover)
