@@ -12,7 +12,6 @@ from stereokit.calibration import Calibration, read_calibration
 from stereokit.cameras.cloud import CLOUD_SUFFIXES, Axes, Holes
 from stereokit.cameras.consistency import occluded, right_disparity
 from stereokit.cameras.depth import DEPTH_SUFFIXES, depth_from_disparity, fill_background, write_depth
-from stereokit.data.inputs import to_pair
 from stereokit.data.pairs import ImagePair
 from stereokit.errors import ConfigError
 from stereokit.inference import DisparityResult, Predictor
@@ -27,6 +26,11 @@ def add_depth_options(parser: argparse.ArgumentParser) -> None:
     """What turns disparity into metres."""
     group = parser.add_argument_group("depth", "in metres, from disparity and the cameras' calibration")
     group.add_argument("--calibration", metavar="FILE", help="of the cameras of all pairs, in any format that is known")
+    group.add_argument(
+        "--rig",
+        metavar="FILE",
+        help="of 'stereokit calibrate', or Kalibr's: views as the cameras took them are rectified first",
+    )
     group.add_argument(
         "--depth",
         nargs="?",
@@ -66,7 +70,7 @@ class DepthFiles:
 
     Args:
         options: of `add_depth_options`.
-        calibration: None where neither is asked for.
+        calibration: None where neither is asked for, or where the rig of the predictor gives it.
     """
 
     options: argparse.Namespace
@@ -87,8 +91,12 @@ class DepthFiles:
         of_clouds = [name for name in OF_CLOUDS if getattr(options, name) is not None]
         if of_clouds and options.cloud is None:
             raise ConfigError(f"{_flag(of_clouds[0])} has no effect without --cloud; leave it out, or add it")
+        if options.rig is not None and options.calibration is not None:
+            raise ConfigError("--calibration has no effect beside --rig, which gives that of the rectified pair")
+        if options.rig is not None:
+            return cls(options, None)
         if wanted and options.calibration is None:
-            raise ConfigError("metres need the cameras' calibration: give --calibration FILE")
+            raise ConfigError("metres need the cameras' calibration: give --calibration FILE, or --rig FILE")
         return cls(options, read_calibration(options.calibration) if wanted else None)
 
     def paths(self, name: str) -> list[Path]:
@@ -102,30 +110,36 @@ class DepthFiles:
         Raises:
             InputError: a calibration of another size, or files that can't be written.
         """
-        if self.calibration is None:
+        paths = self.paths(pair.name)
+        if not paths:
             return []
-        self.calibration.check_size(*result.size)
+        rectification = predictor.rectification
+        calibration = self.calibration if rectification is None else rectification.calibration
+        assert calibration is not None
+        calibration.check_size(*result.size)
         valid = None
         if self.options.left_right or self.options.cloud is not None:
-            left, right = (view[0].permute(1, 2, 0).numpy() for view in to_pair(pair.left, pair.right))
+            views = predictor.rectified(pair.left, pair.right)
+            left, right = (view[0].permute(1, 2, 0).numpy() for view in views)
         if self.options.left_right:
             valid = ~occluded(result.disparity, right_disparity(_match(predictor), left, right))
         lines = []
-        for path in self.paths(pair.name):
+        for path in paths:
             if path.stem.endswith("_cloud"):
-                lines.append(self._write_cloud(path, result, left, valid))
+                lines.append(self._write_cloud(path, calibration, result, left, valid))
             else:
-                lines.append(self._write_depth(path, result, valid))
+                lines.append(self._write_depth(path, calibration, result, valid))
         return lines
 
-    def _write_depth(self, path: Path, result: DisparityResult, valid: npt.NDArray[np.bool_] | None) -> str:
+    def _write_depth(
+        self, path: Path, calibration: Calibration, result: DisparityResult, valid: npt.NDArray[np.bool_] | None
+    ) -> str:
         options = self.options
-        assert self.calibration is not None
         kept = result.trusted(min_confidence=options.min_confidence, valid=valid)
         disparity = np.where(kept, result.disparity, np.nan)
         if options.holes == "background":
             disparity = fill_background(disparity)
-        depth = depth_from_disparity(disparity, self.calibration, max_depth=options.max_depth)
+        depth = depth_from_disparity(disparity, calibration, max_depth=options.max_depth)
         beyond = write_depth(path, depth, overwrite=options.overwrite)
         known = depth[np.isfinite(depth)]
         reach = (
@@ -135,13 +149,17 @@ class DepthFiles:
         return f"depth of {100 * known.size / depth.size:.0f} % of the pixels: {reach}; wrote {path}{lost}"
 
     def _write_cloud(
-        self, path: Path, result: DisparityResult, left: npt.NDArray[Any], valid: npt.NDArray[np.bool_] | None
+        self,
+        path: Path,
+        calibration: Calibration,
+        result: DisparityResult,
+        left: npt.NDArray[Any],
+        valid: npt.NDArray[np.bool_] | None,
     ) -> str:
         options = self.options
-        assert self.calibration is not None
         chosen = {name: value for name in ("axes", "holes") if (value := getattr(options, name)) is not None}
         cloud = result.point_cloud(
-            self.calibration,
+            calibration,
             left,
             min_confidence=options.min_confidence,
             valid=valid,
@@ -154,7 +172,7 @@ class DepthFiles:
 
 
 def _match(predictor: Predictor) -> Any:
-    return lambda left, right: predictor(left, right).disparity
+    return lambda left, right: predictor.match(left, right).disparity
 
 
 def _flag(name: str) -> str:

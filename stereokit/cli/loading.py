@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["check_published_options", "find_chosen_network", "load_chosen_network", "load_predictor"]
 
-PREDICTOR_SETTINGS = ("precision", "max_memory", "too_large", "scale")
+PREDICTOR_SETTINGS = ("precision", "max_memory", "too_large", "scale", "rig")
 
 
 def find_chosen_network(options: argparse.Namespace) -> NetworkPlace:
@@ -55,7 +55,7 @@ def load_predictor(options: argparse.Namespace) -> Predictor:
     place = find_chosen_network(options)
     given = _settings(options, place)
     opened = _open_published(options, place, given) if place.kind == "published" else open_network(place, **given)
-    settings = {name: value for name in PREDICTOR_SETTINGS if (value := getattr(options, name)) is not None}
+    settings = {name: value for name in PREDICTOR_SETTINGS if (value := getattr(options, name, None)) is not None}
     return Predictor(opened, options.device, options.backend, **settings)
 
 

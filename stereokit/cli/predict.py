@@ -66,7 +66,8 @@ def _predict(predictor: Predictor, pair: ImagePair, options: argparse.Namespace,
     height, width = result.size
     low, high = np.nanmin(result.disparity), np.nanmax(result.disparity)
     if result.invalid:
-        tqdm.write(f"{pair.name}: {result.invalid} pixels have no finite disparity", file=sys.stderr)
+        why = "have no finite disparity" if predictor.rectification is None else "were not seen by both cameras"
+        tqdm.write(f"{pair.name}: {result.invalid} pixels {why}", file=sys.stderr)
     if result.preparation_seconds >= 0.05:
         tqdm.write(f"{pair.name}: made ready for {width} x {height} px in {result.preparation_seconds:.1f} s")
     tqdm.write(
@@ -75,9 +76,11 @@ def _predict(predictor: Predictor, pair: ImagePair, options: argparse.Namespace,
     )
     if len(written) < len(output_paths(options.out, pair.name)):
         tqdm.write(f"{pair.name}: no 16-bit PNG, which holds 0 to 255.996 px")
-    if result.confidence is not None and result.confidence.mean() < NOISE:
+    known = np.isfinite(result.disparity)
+    confidence = None if result.confidence is None or not known.any() else result.confidence[known].mean()
+    if confidence is not None and confidence < NOISE:
         tqdm.write(
-            f"{pair.name}: mean confidence {result.confidence.mean():.2f}, as of views that do not match; "
+            f"{pair.name}: mean confidence {confidence:.2f}, as of views that do not match; "
             "'stereokit check' tells why",
             file=sys.stderr,
         )

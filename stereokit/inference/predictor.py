@@ -12,6 +12,8 @@ from torch import Tensor, nn
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.estimate import Backend
 from stereokit.backends.opening import check_backend, open_backend
+from stereokit.cameras.rectification import Rectification, rectify
+from stereokit.cameras.rig import Rig, read_rig
 from stereokit.contracts import StereoOutput
 from stereokit.data.inputs import ImageLike, to_pair
 from stereokit.errors import ConfigError, InputError
@@ -48,12 +50,16 @@ class Predictor:
         scale: match at this part of the resolution and bring the result back, see `match_scaled`; disparities are found
             up to max_disparity / scale. 0.5 finds larger ones and less detail, 1.5 or 2 smaller ones and finer detail,
             which small images gain from, in 2 to 5 times the time.
+        rig: the cameras, or their file, where the views come as these took them: they are rectified first, see
+            `rectified`, and what either camera did not see becomes NaN in the disparity. The calibration of the
+            rectified pair is `predict.rectification.calibration`.
 
     Raises:
         ConfigError: the device or the backend is unknown, absent, or not for this model; limits of memory for an
             exported file of one size alone; tiles of a network without `max_disparity`; or a scale that is not
             above 0 and at most 8.
         CheckpointError: there is no network at this place, or it can't be used.
+        InputError: a rig that can't be read or rectified.
 
     >>> predict = Predictor("coex", device="cpu")
     >>> left = right = np.zeros((50, 70, 3), np.uint8)
@@ -71,11 +77,15 @@ class Predictor:
         max_memory: MemorySize | None = None,
         too_large: TooLarge = "error",
         scale: float = 1.0,
+        rig: "Rig | str | os.PathLike[str] | None" = None,
     ) -> None:
         if not isinstance(scale, int | float | np.floating | np.integer) or not 0 < scale <= MAX_SCALE:
             raise ConfigError(
                 f"scale={scale!r} is not above 0 and at most {MAX_SCALE}; 0.5 is half the resolution, 2 double"
             )
+        self.rectification: Rectification | None = None
+        if rig is not None:
+            self.rectification = rectify(rig if isinstance(rig, Rig) else read_rig(rig))
         check_backend(backend)
         place = None if isinstance(model, nn.Module) else find_network(model)
         if place is None or place.kind != "exported":
@@ -114,14 +124,37 @@ class Predictor:
         return self.backend.network
 
     def __call__(self, left: ImageLike, right: ImageLike) -> DisparityResult:
-        """Matches one rectified pair.
+        """Matches one pair, rectified or, with a rig, as its cameras took it.
 
         Args:
             left: path, array, tensor or PIL image, see `stereokit.data.inputs.ImageLike`; at least 32 x 32 pixels.
             right: likewise, of the same size.
 
         Raises:
-            InputError: an image that can't be used; the message says why.
+            InputError: an image that can't be used, or views of another size than the rig's; the message says why.
+        """
+        if self.rectification is None:
+            return self.match(left, right)
+        result = self.match(*self.rectified(left, right))
+        return result.masked(self.rectification.seen(result.disparity))
+
+    def rectified(self, left: ImageLike, right: ImageLike) -> tuple[Tensor, Tensor]:
+        """The pair that is matched, two (1, 3, H, W): rectified where there is a rig, else as it is.
+
+        Raises:
+            InputError: see `__call__`.
+        """
+        pair = to_pair(left, right)
+        if self.rectification is None:
+            return pair
+        first, second = self.rectification(*(view[0].permute(1, 2, 0).numpy() for view in pair))
+        return to_pair(first, second)
+
+    def match(self, left: ImageLike, right: ImageLike) -> DisparityResult:
+        """Matches one pair that is rectified, whether there is a rig or not.
+
+        Raises:
+            InputError: see `__call__`.
         """
         left, right = to_pair(left, right)
         check_least_size(*left.shape[-2:])

@@ -1,7 +1,7 @@
 """The disparity of one pair, and its files."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,17 @@ class DisparityResult:
         if self.confidence is None:
             raise InputError("min_confidence needs a confidence, which this network does not give; leave it out")
         return kept & (self.confidence >= min_confidence)
+
+    def masked(self, valid: npt.NDArray[np.bool_]) -> "DisparityResult":
+        """The same without the disparity outside of `valid` (H, W), which becomes NaN, of no confidence.
+
+        >>> result = DisparityResult(np.ones((2, 2), np.float32), confidence=None, seconds=0.1)
+        >>> result.masked(np.eye(2, dtype=bool)).disparity.tolist()
+        [[1.0, nan], [nan, 1.0]]
+        """
+        disparity = np.where(valid, self.disparity, np.float32(np.nan))
+        confidence = None if self.confidence is None else np.where(valid, self.confidence, np.float32(0))
+        return replace(self, disparity=disparity, confidence=confidence)
 
     def depth(
         self,

@@ -65,6 +65,17 @@ def test_the_mask_says_what_was_seen():
     assert (right[~rectification.right_valid] < 255).mean() > 0.98
 
 
+def test_what_is_seen_hangs_on_the_match():
+    rectification = rectify(example_rig(), alpha=1.0)
+    edge = np.nonzero(rectification.right_valid[240])[0].min()
+    column = edge + 30
+    assert edge > 0
+    assert rectification.left_valid[240, column]
+    for disparity, seen in ((29.0, True), (31.0, False), (np.nan, True)):
+        assert rectification.seen(np.full(SIZE, disparity))[240, column] == seen
+    assert not rectification.seen(np.zeros(SIZE))[~rectification.left_valid].any()
+
+
 def test_rectifications_of_no_use_are_refused():
     true = example_rig()
     with pytest.raises(InputError, match="'pinhole', the right one 'fisheye'"):

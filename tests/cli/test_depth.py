@@ -1,8 +1,12 @@
+import shutil
+
 import cv2
 import numpy as np
 import pytest
 
 from stereokit.calibration import Calibration, write_calibration
+from stereokit.cameras.rectification import rectify
+from stereokit.cameras.rendering import Plane, RigRenderer, example_rig, rectified_depth
 from stereokit.cli import main
 from stereokit.data import read_pfm, write_image
 from stereokit.data.synthetic import SyntheticScenes
@@ -60,7 +64,9 @@ def test_millimetres_and_filters(scene, tmp_path):
     [
         (("--max-depth", "5"), "--max-depth has no effect without --depth or --cloud"),
         (("--depth", "--axes", "ros"), "--axes has no effect without --cloud"),
-        (("--depth",), "give --calibration FILE"),
+        (("--depth",), "give --calibration FILE, or --rig FILE"),
+        (("--depth", "--calibration", "a.json", "--rig", "b.json"), "--calibration has no effect beside --rig"),
+        (("--rig", "absent.json"), "absent.json"),
         (("--depth", "--calibration", "absent.json"), "absent.json"),
     ],
 )
@@ -77,3 +83,41 @@ def test_a_calibration_of_another_size_is_refused(scene, tmp_path, capsys):
     error = capsys.readouterr().err
     assert "320 x 192" in error
     assert "160 x 96" in error
+
+
+@pytest.fixture(scope="module")
+def rig_scene(tmp_path_factory):
+    """A plane at 0.4 m before a small rig, and its true depth."""
+    folder = tmp_path_factory.mktemp("rig")
+    rig = example_rig(size=SIZE, baseline=0.05)
+    picture = SyntheticScenes(seed=2, size=(200, 300), max_disparity=4, photometric=0, plain=0, objects=(30, 40))[
+        0
+    ].left
+    plane = Plane(picture, 300 / 0.55, np.eye(3), np.array([0, 0, 0.4]))
+    for name, view in zip(("left", "right"), RigRenderer(rig, samples=2, noise=0)([plane], seed=0), strict=True):
+        write_image(folder / f"{name}.png", view)
+    rig.write(folder / "rig.json")
+    return folder, rectified_depth(rectify(rig), [plane])
+
+
+def test_views_of_a_rig_become_metres(rig_scene, tmp_path, capsys):
+    folder, truth = rig_scene
+    options = ("--rig", str(folder / "rig.json"), "--depth", "npy", "--cloud", "--left-right")
+    assert predict(folder, tmp_path, *options) == 0
+    assert "pixels were not seen by both cameras" in capsys.readouterr().err
+    depth = np.load(tmp_path / "out" / "left_depth.npy")
+    both = np.isfinite(depth) & np.isfinite(truth)
+    assert both.mean() > 0.5
+    assert np.median(np.abs(depth - truth)[both] / truth[both]) < 0.02
+    disparity = read_pfm(tmp_path / "out" / "left_disparity.pfm")
+    assert np.isfinite(depth).sum() < (disparity > 0).sum() < disparity.size
+
+
+def test_views_of_another_size_than_the_rig_are_refused(rig_scene, tmp_path, capsys):
+    folder, _ = rig_scene
+    for name in ("left", "right"):
+        shutil.copy(folder / f"{name}.png", tmp_path)
+    example_rig(size=(192, 320)).write(tmp_path / "rig.json")
+    assert predict(tmp_path, tmp_path, "--rig", str(tmp_path / "rig.json"), "--depth") == 2
+    assert "the left view has 160 x 96 pixels; the rig is for 320 x 192" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

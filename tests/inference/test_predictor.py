@@ -10,6 +10,8 @@ from torch import Tensor, nn
 from stereokit import ConfigError, InputError, StereoOutput, build_model
 from stereokit.backends.eager import TorchBackend
 from stereokit.backends.estimate import Estimate
+from stereokit.cameras.rectification import rectify
+from stereokit.cameras.rendering import Plane, RigRenderer, example_rig
 from stereokit.data import read_disparity, read_image
 from stereokit.errors import CheckpointError
 from stereokit.inference import DisparityResult, Predictor, output_paths
@@ -284,3 +286,30 @@ def test_a_pair_that_memory_can_not_hold_is_refused_or_cut_before_it_starts() ->
         assert not np.array_equal(result.disparity, whole.disparity)
     with pytest.raises(ConfigError, match="'error', 'tile' or 'reduce'"):
         Predictor(model, "cpu", too_large="shrink")  # type: ignore[arg-type]
+
+
+def test_views_of_a_rig_are_rectified_on_the_way(tmp_path):
+    rig = example_rig(size=(96, 128), baseline=0.02)
+    left, right = RigRenderer(rig, samples=1)(_boards(), seed=0)
+    rig.write(tmp_path / "rig.json")
+    network = build_model("coex", max_disparity=64)
+    predict = Predictor(network, rig=tmp_path / "rig.json")
+    result = predict(left, right)
+    rectification = rectify(rig)
+    first, second = rectification(left, right)
+    plain = Predictor(network)(first, second)
+    seen = rectification.seen(plain.disparity)
+    assert 0.5 < seen.mean() < 1
+    np.testing.assert_array_equal(result.disparity[seen], plain.disparity[seen])
+    assert np.isnan(result.disparity[~seen]).all()
+    assert (result.confidence[~seen] == 0).all()
+    np.testing.assert_array_equal(predict.match(first, second).disparity, plain.disparity)
+    assert predict.rectification.calibration == rectification.calibration
+    with pytest.raises(InputError, match="the left view has 128 x 95 pixels; the rig is for 128 x 96"):
+        predict(left[1:], right[1:])
+
+
+def _boards():
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 256, (200, 300, 3), np.uint8)
+    return [Plane(picture, 200.0, np.eye(3), np.array([0, 0, 1.0]))]
