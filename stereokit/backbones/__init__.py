@@ -3,6 +3,7 @@
 from stereokit.backbones.encoder import MobileNetV2Encoder, TimmEncoder
 from stereokit.backbones.feature_pyramid import FeaturePyramid
 from stereokit.backbones.gwc_trunk import GwcTrunk
+from stereokit.backbones.level_path import LevelPathBackbone
 from stereokit.backbones.residual import ResidualTower
 from stereokit.backbones.spatial_pyramid import SpatialPyramid
 from stereokit.backbones.strided import StridedTower
@@ -12,6 +13,7 @@ from stereokit.backbones.unet import UNet
 __all__ = [
     "FeaturePyramid",
     "GwcTrunk",
+    "LevelPathBackbone",
     "MobileNetV2Encoder",
     "ResidualTower",
     "SpatialPyramid",

@@ -17,16 +17,20 @@ from stereokit.layers.interpolation import bilinear_upsample
 from stereokit.layers.inverted_residual import InvertedResidual
 from stereokit.layers.pooling import cell_means, tent_means
 from stereokit.layers.residual import ResidualBlock, residual_layer
+from stereokit.layers.searched_cell import CellNodes, LevelPath, SearchedCell, level_size, resize
 from stereokit.layers.up_step import UpStep
 from stereokit.layers.warp import warp
 
 __all__ = [
     "Activation",
+    "CellNodes",
     "ConvGRU",
     "ConvNormAct",
     "InvertedResidual",
+    "LevelPath",
     "Norm",
     "ResidualBlock",
+    "SearchedCell",
     "UpStep",
     "as_float",
     "at_least_float32",
@@ -36,9 +40,11 @@ __all__ = [
     "image_stem",
     "init_convolutions",
     "leaky_relu",
+    "level_size",
     "named_activation",
     "relu",
     "residual_layer",
+    "resize",
     "tent_means",
     "warp",
 ]

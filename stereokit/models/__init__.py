@@ -7,6 +7,7 @@ from stereokit.models.deeppruner import DeepPrunerBest, DeepPrunerFast
 from stereokit.models.dispnetc import DispNetC
 from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
+from stereokit.models.leastereo import leastereo
 from stereokit.models.lightstereo import lightstereo_l, lightstereo_m, lightstereo_s
 from stereokit.models.psmnet import psmnet
 from stereokit.models.raft_stereo import RAFTStereo, RAFTStereoRealtime
@@ -28,6 +29,7 @@ __all__ = [
     "gcnet",
     "gwcnet_g",
     "gwcnet_gc",
+    "leastereo",
     "lightstereo_l",
     "lightstereo_m",
     "lightstereo_s",

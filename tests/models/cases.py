@@ -172,6 +172,19 @@ CASES: dict[str, Case] = {
     "casstereo_gwc": Case(
         parameters=10_943_776, training_only=2 * 85_728, golden=_casstereo("casstereo_gwc", 0.45, "2/2"), rounding=0.5
     ),
+    "leastereo": Case(
+        parameters=1_724_912,
+        golden=Golden(
+            "leastereo",
+            norm=(0.65, 1.05),
+            taps={
+                "feature": Tap("backbone.head", left=True),
+                "matching": Tap("aggregation", "2/2", item=-1, sign=-1),
+            },
+        ),
+        max_disparity=48,
+        size=(48, 72),
+    ),
     "lightstereo_s": _lightstereo("s", 3_441_360),
     # their aggregation sees further than tiles overlap
     "lightstereo_m": _lightstereo("m", 7_641_264, seam=6.0),

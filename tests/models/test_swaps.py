@@ -63,12 +63,17 @@ SWAPS = [
     ("psmnet", {"candidates": {"name": "patch_match", "particles": 14}, "upsampler": "bilinear"}),
     ("psmnet", {"backbone": {"name": "spatial_pyramid", "halvings": 3}, "stride": 8, "upsampler": "bilinear"}),
     ("coex", {"backbone": {"name": "spatial_pyramid", "halvings": 3}, "stride": 8, "upsampler": "bilinear"}),
+    ("coex", {"aggregation": {"name": "level_path", "levels": [1, 2, 1], "skips": []}, "guidance_at": "full"}),
+    ("psmnet", {"aggregation": {"name": "level_path", "filters": 2}}),
+    ("psmnet", {"backbone": "level_path", "max_disparity": 48}),
+    ("coex", {"backbone": "level_path", "max_disparity": 72, "upsampler": "bilinear"}),
+    ("leastereo", {"guidance": "gce", "top_k": 2, "max_disparity": 48}),
 ]
 
 
 @pytest.mark.parametrize(("network", "overrides"), SWAPS)
 def test_a_block_works_in_another_network(network, overrides):
-    model = build_model(network, max_disparity=64, **overrides)
+    model = build_model(network, **{"max_disparity": 64, **overrides})
     left, right = torch.rand(2, 2, 3, 64, 96)
     output = model(left, right)
     loss = stereo_loss(output, torch.full_like(left[:, 0], 5.0), auxiliary_weights=model.auxiliary_weights)
