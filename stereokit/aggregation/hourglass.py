@@ -1,6 +1,7 @@
 """The cost aggregation of CoEx: one small hourglass, guided at every scale."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +11,7 @@ from stereokit.guidance.point import GuidancePlan, GuidancePoint
 from stereokit.layers import ConvNormAct, crop_to, init_convolutions
 from stereokit.registry import AGGREGATIONS
 
-__all__ = ["Hourglass"]
+__all__ = ["Hourglass", "VolumeHourglass"]
 
 
 class Down(nn.Module):
@@ -47,9 +48,72 @@ class Up(nn.Module):
         return self.guidance(self.convs(merged), guides)
 
 
-@AGGREGATIONS.register("hourglass")
-class Hourglass(nn.Module):
+class VolumeHourglass(nn.Module):
     """Encoder-decoder of 3D convolutions with skips; image features guide it at every scale.
+
+    Args:
+        in_channels: of the cost volume.
+        out_channels: of the volume that it gives.
+        stride: of the cost volume.
+        guide_channels: of the guides, by stride; needed at `stride`, twice, four and eight times it for "full".
+        guidance: makes a guidance block, such as `GCE`; None for none.
+        guidance_at: "one" guides the stem's output only, "full" that of every stage.
+        channels: of the stem and of the three scales below it.
+        stem: whether a convolution, with its guidance, comes first.
+
+    Shape: volume (B, in_channels, D, H, W) and guides {stride: (B, G, H * stride0 / stride, ...)} to a volume
+    (B, out_channels, D, H, W). D, H and W may be odd: what does not fit is cut.
+
+    Source: CoEx, appendix "Detailed architecture", table "Cost aggregation module".
+
+    >>> VolumeHourglass(in_channels=8, out_channels=8)(torch.rand(1, 8, 16, 32, 48), {}).shape
+    torch.Size([1, 8, 16, 32, 48])
+    """
+
+    multiple = planes_multiple = 8
+
+    def __init__(
+        self,
+        *,
+        in_channels: int,
+        out_channels: int,
+        stride: int = 4,
+        guide_channels: Mapping[int, int] | None = None,
+        guidance: GuidanceFactory | None = None,
+        guidance_at: GuidancePlacement = "full",
+        channels: Sequence[int] = (8, 16, 32, 48),
+        stem: bool = True,
+    ) -> None:
+        super().__init__()
+        self.in_channels = in_channels
+        c0, c1, c2, c3 = channels
+        plan = GuidancePlan(guidance, guidance_at, stride, guide_channels)
+
+        self.stem = ConvNormAct(in_channels, c0, dims=3) if stem else nn.Identity()
+        self.stem_guidance = (plan if stem else replace(plan, guidance=None)).first(c0)
+        self.down1 = Down(c0 if stem else in_channels, c1, plan.at(2, c1))
+        self.down2 = Down(c1, c2, plan.at(4, c2))
+        self.down3 = Down(c2, c3, plan.at(8, c3))
+        self.up3 = Up(c3, c2, plan.at(4, c2))
+        self.up2 = Up(c2, c1, plan.at(2, c1))
+        self.up1 = nn.ConvTranspose3d(c1, out_channels, 4, stride=2, padding=1, bias=False)
+        init_convolutions(self.up1)
+        self.guide_channels = GuidancePlan.guides_read_by(self)
+
+    def forward(self, volume: Tensor, guides: Guides) -> Tensor:
+        """Volume and guides to a volume."""
+        x = self.stem_guidance(self.stem(volume), guides)
+        x1 = self.down1(x, guides)
+        x2 = self.down2(x1, guides)
+        x3 = self.down3(x2, guides)
+        x2 = self.up3(x3, x2, guides)
+        x1 = self.up2(x2, x1, guides)
+        return crop_to(self.up1(x1), volume)
+
+
+@AGGREGATIONS.register("hourglass")
+class Hourglass(VolumeHourglass):
+    """Encoder-decoder of 3D convolutions with skips, to logits; image features guide it at every scale.
 
     Args:
         in_channels: of the cost volume.
@@ -71,7 +135,6 @@ class Hourglass(nn.Module):
     torch.Size([1, 24, 32, 48])
     """
 
-    multiple = planes_multiple = 8
     upscale = 1
     loss_weights = (1.0,)
 
@@ -85,29 +148,16 @@ class Hourglass(nn.Module):
         guidance_at: GuidancePlacement = "full",
         channels: Sequence[int] = (8, 16, 32, 48),
     ) -> None:
-        super().__init__()
-        self.in_channels = in_channels
-        c0, c1, c2, c3 = channels
-        plan = GuidancePlan(guidance, guidance_at, stride, guide_channels)
+        super().__init__(
+            in_channels=in_channels,
+            out_channels=1,
+            stride=stride,
+            guide_channels=guide_channels,
+            guidance=guidance,
+            guidance_at=guidance_at,
+            channels=channels,
+        )
 
-        self.stem = ConvNormAct(in_channels, c0, dims=3)
-        self.stem_guidance = plan.first(c0)
-        self.down1 = Down(c0, c1, plan.at(2, c1))
-        self.down2 = Down(c1, c2, plan.at(4, c2))
-        self.down3 = Down(c2, c3, plan.at(8, c3))
-        self.up3 = Up(c3, c2, plan.at(4, c2))
-        self.up2 = Up(c2, c1, plan.at(2, c1))
-        self.up1 = nn.ConvTranspose3d(c1, 1, 4, stride=2, padding=1, bias=False)
-        init_convolutions(self.up1)
-        self.guide_channels = GuidancePlan.guides_read_by(self)
-
-    def forward(self, volume: Tensor, guides: Guides) -> tuple[Tensor, ...]:
+    def forward(self, volume: Tensor, guides: Guides) -> tuple[Tensor, ...]:  # type: ignore[override]
         """Volume and guides to logits."""
-        x = self.stem_guidance(self.stem(volume), guides)
-        x1 = self.down1(x, guides)
-        x2 = self.down2(x1, guides)
-        x3 = self.down3(x2, guides)
-        x2 = self.up3(x3, x2, guides)
-        x1 = self.up2(x2, x1, guides)
-        logits = crop_to(self.up1(x1), volume)
-        return (logits.squeeze(1),)
+        return (super().forward(volume, guides).squeeze(1),)

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from stereokit.backbones.encoder import build_encoder
 from stereokit.contracts import FeatureInfo, Features
-from stereokit.layers import ConvNormAct, UpStep, image_stem
+from stereokit.layers import ConvNormAct, Norm, UpStep, image_stem
 from stereokit.registry import BACKBONES
 
 __all__ = ["UNet"]
@@ -24,6 +24,7 @@ class UNet(nn.Module):
         encoder: a timm model with features at strides 4 to 32.
         stem_channels: of the stem at strides 2 and 4.
         pretrained: load timm's weights for the encoder.
+        norm: of decoder and stem.
 
     Shape: (B, 3, H, W), sides multiples of 32, to `Features`; with the default encoder the channels are
     96 (matching) and {2: 32, 4: 96, 8: 64, 16: 192, 32: 160} (guides).
@@ -42,17 +43,18 @@ class UNet(nn.Module):
         encoder: str = "mobilenetv2_100",
         stem_channels: Sequence[int] = (32, 48),
         pretrained: bool = False,
+        norm: Norm = "batch",
     ) -> None:
         super().__init__()
         stem2, stem4 = stem_channels
         self.encoder = build_encoder(encoder, pretrained=pretrained)
         skips = self.encoder.channels
-        self.stem_2 = image_stem(3, stem2)
-        self.stem_4 = image_stem(stem2, stem4)
-        self.up_16 = UpStep(skips[32], skips[16], 2 * skips[16])
-        self.up_8 = UpStep(self.up_16.out_channels, skips[8], 2 * skips[8])
-        self.up_4 = UpStep(self.up_8.out_channels, skips[4], 2 * skips[4])
-        self.merge_4 = ConvNormAct(self.up_4.out_channels, self.up_4.out_channels)
+        self.stem_2 = image_stem(3, stem2, norm=norm)
+        self.stem_4 = image_stem(stem2, stem4, norm=norm)
+        self.up_16 = UpStep(skips[32], skips[16], 2 * skips[16], norm=norm)
+        self.up_8 = UpStep(self.up_16.out_channels, skips[8], 2 * skips[8], norm=norm)
+        self.up_4 = UpStep(self.up_8.out_channels, skips[4], 2 * skips[4], norm=norm)
+        self.merge_4 = ConvNormAct(self.up_4.out_channels, self.up_4.out_channels, norm=norm)
         matching = self.up_4.out_channels + stem4
         self.info = FeatureInfo(
             matching_channels={4: matching},

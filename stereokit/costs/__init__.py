@@ -11,6 +11,7 @@ from stereokit.costs.correlation import (
 from stereokit.costs.difference import DifferenceVolume, difference_volume
 from stereokit.costs.pair_lookup import PairLookup, correlation_pyramid, look_up, look_up_on_demand
 from stereokit.costs.signed_correlation import SignedCorrelation, signed_correlation
+from stereokit.costs.volume_lookup import VolumeLookup, look_up_volume, volume_pyramid
 
 __all__ = [
     "CombinedVolume",
@@ -20,6 +21,7 @@ __all__ = [
     "GroupwiseCorrelationVolume",
     "PairLookup",
     "SignedCorrelation",
+    "VolumeLookup",
     "concatenation_volume",
     "correlation_pyramid",
     "correlation_volume",
@@ -27,5 +29,7 @@ __all__ = [
     "groupwise_correlation_volume",
     "look_up",
     "look_up_on_demand",
+    "look_up_volume",
     "signed_correlation",
+    "volume_pyramid",
 ]

@@ -188,9 +188,7 @@ class PairLookup(nn.Module):
         if form not in get_args(Lookup):
             raise ConfigError(f"lookup={form!r} is unknown; use 'auto', 'volume' or 'on_demand'")
         if levels < 1 or radius < 0:
-            raise ConfigError(
-                f"levels={levels} and radius={radius} of a lookup: expected at least 1 level and 0 columns"
-            )
+            raise ConfigError(f"levels={levels} and radius={radius} of a lookup: use at least 1 level and 0 columns")
         self.levels = levels
         self.radius = radius
         self.form = form

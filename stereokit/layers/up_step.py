@@ -1,9 +1,11 @@
 """One step of a decoder with skips."""
 
+from functools import partial
+
 import torch
 from torch import Tensor, nn
 
-from stereokit.layers.convolution import Activation, ConvNormAct, crop_to, leaky_relu
+from stereokit.layers.convolution import Activation, ConvNormAct, Norm, crop_to, leaky_relu
 
 __all__ = ["UpStep"]
 
@@ -17,6 +19,7 @@ class UpStep(nn.Module):
         out_channels: of the output.
         activation: of both convolutions.
         skip_first: concatenate the skip ahead of the doubled map.
+        norm: of both convolutions.
 
     >>> UpStep(8, 4, 6)(torch.rand(1, 8, 3, 5), torch.rand(1, 4, 6, 10)).shape
     torch.Size([1, 6, 6, 10])
@@ -30,12 +33,14 @@ class UpStep(nn.Module):
         *,
         activation: Activation = leaky_relu,
         skip_first: bool = False,
+        norm: Norm = "batch",
     ) -> None:
         super().__init__()
         self.out_channels = out_channels
         self.skip_first = skip_first
-        self.up = ConvNormAct(in_channels, skip_channels, 4, stride=2, transposed=True, activation=activation)
-        self.merge = ConvNormAct(2 * skip_channels, out_channels, activation=activation)
+        conv = partial(ConvNormAct, norm=norm, activation=activation)
+        self.up = conv(in_channels, skip_channels, 4, stride=2, transposed=True)
+        self.merge = conv(2 * skip_channels, out_channels)
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """Coarse (B, C, h, w) and skip (B, S, 2h, 2w) to (B, out_channels, 2h, 2w)."""

@@ -4,6 +4,7 @@ from stereokit.losses.cross_entropy import CrossEntropy, masked_cross_entropy, t
 from stereokit.losses.l1 import L1, mean_of_cells
 from stereokit.losses.quantile import Quantile, masked_pinball
 from stereokit.losses.robust import Robust
+from stereokit.losses.sequence import Sequence
 from stereokit.losses.smooth_l1 import SmoothL1, masked_smooth_l1
 from stereokit.losses.total import Loss, named_loss, stereo_loss
 
@@ -13,6 +14,7 @@ __all__ = [
     "Loss",
     "Quantile",
     "Robust",
+    "Sequence",
     "SmoothL1",
     "masked_cross_entropy",
     "masked_pinball",

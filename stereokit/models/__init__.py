@@ -7,6 +7,7 @@ from stereokit.models.deeppruner import DeepPrunerBest, DeepPrunerFast
 from stereokit.models.dispnetc import DispNetC
 from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
+from stereokit.models.igev import IGEV, RTIGEV
 from stereokit.models.leastereo import leastereo
 from stereokit.models.lightstereo import lightstereo_l, lightstereo_m, lightstereo_s
 from stereokit.models.psmnet import psmnet
@@ -16,6 +17,8 @@ from stereokit.models.stereonet import stereonet_8x, stereonet_16x
 
 __all__ = [
     "CRL",
+    "IGEV",
+    "RTIGEV",
     "DeepPrunerBest",
     "DeepPrunerFast",
     "DispNetC",

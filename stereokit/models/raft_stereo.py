@@ -92,16 +92,18 @@ class MotionEncoder(nn.Module):
 
     Args:
         looked_up: channels of what was looked up.
+        flow: channels of where.
+        channels: of the output, those of the flow included.
     """
 
-    def __init__(self, looked_up: int) -> None:
+    def __init__(self, looked_up: int, *, flow: int, channels: int) -> None:
         super().__init__()
         self.correlation = nn.Sequential(nn.Conv2d(looked_up, 64, 1), relu(), nn.Conv2d(64, 64, 3, padding=1), relu())
-        self.flow = nn.Sequential(nn.Conv2d(2, 64, 7, padding=3), relu(), nn.Conv2d(64, 64, 3, padding=1), relu())
-        self.merge = nn.Sequential(nn.Conv2d(128, 126, 3, padding=1), relu())
+        self.flow = nn.Sequential(nn.Conv2d(flow, 64, 7, padding=3), relu(), nn.Conv2d(64, 64, 3, padding=1), relu())
+        self.merge = nn.Sequential(nn.Conv2d(128, channels - flow, 3, padding=1), relu())
 
     def forward(self, looked_up: Tensor, flow: Tensor) -> Tensor:
-        """Correlation (B, ., h, w) and flow (B, 2, h, w) to (B, 128, h, w)."""
+        """Correlation (B, ., h, w) and flow (B, ., h, w) to (B, channels, h, w)."""
         merged = self.merge(torch.cat((self.correlation(looked_up), self.flow(flow)), dim=1))
         return torch.cat((merged, flow), dim=1)
 
@@ -110,27 +112,39 @@ class Update(nn.Module):
     """One iteration of all units, from coarse to fine: each sees its neighbours.
 
     Args:
-        levels: 2 or 3.
+        levels: how many units there are, from 1 to 3.
         looked_up: channels of what was looked up.
+        flow: channels of what is mended: 2 along rows and columns, 1 along rows alone.
+        hidden: channels of the states.
+        head: channels between the two convolutions that give the change.
         coarse_twice: the coarse units take a step of their own ahead of the common one.
     """
 
-    def __init__(self, *, levels: int, looked_up: int, coarse_twice: bool) -> None:
+    def __init__(
+        self,
+        *,
+        levels: int,
+        looked_up: int,
+        flow: int = 2,
+        hidden: int = HIDDEN,
+        head: int = 256,
+        coarse_twice: bool = False,
+    ) -> None:
         super().__init__()
         self.coarse_twice = coarse_twice
-        self.motion = MotionEncoder(looked_up)
-        neighbors = [1] + [2] * (levels - 2) + [1]
+        self.motion = MotionEncoder(looked_up, flow=flow, channels=hidden)
+        neighbors = [(level > 0) + (level < levels - 1) for level in range(levels)]
         self.units = nn.ModuleList(
-            ConvGRU(HIDDEN, HIDDEN * (count + (level == 0))) for level, count in enumerate(neighbors)
+            ConvGRU(hidden, hidden * (count + (level == 0))) for level, count in enumerate(neighbors)
         )
         self.head = nn.Sequential(
-            nn.Conv2d(HIDDEN, 256, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(256, 2, 3, padding=1)
+            nn.Conv2d(hidden, head, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(head, flow, 3, padding=1)
         )
 
     def forward(
         self, states: Sequence[Tensor], contexts: Sequence[Sequence[Tensor]], looked_up: Tensor, flow: Tensor
     ) -> tuple[list[Tensor], Tensor]:
-        """States, the finest first, to the next ones and a change of the flow, (B, 2, h, w)."""
+        """States, the finest first, to the next ones and a change of the flow, of its shape."""
         states = list(states)
         coarse = range(len(self.units) - 1, 0, -1)
         for level in (*coarse, *coarse) if self.coarse_twice else coarse:
@@ -146,6 +160,26 @@ class Update(nn.Module):
             size = states[level].shape[-2:]
             inputs.append(F.interpolate(states[level + 1], size=size, mode="bilinear", align_corners=True))
         return inputs
+
+
+def check_iterations(**counts: int) -> None:
+    """Raises `ConfigError` unless all of them are whole numbers from 1 up."""
+    for name, count in counts.items():
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise ConfigError(f"{name}={count!r} has to be a whole number from 1 up")
+
+
+def growing_weights(iterations: int) -> tuple[float, ...]:
+    """The weight in the loss of what each iteration gives: from 0.9^15, however many there are, to 1."""
+    decay = 0.9 ** (15 / max(iterations - 1, 1))
+    return tuple(decay ** (iterations - 1 - i) for i in range(iterations))
+
+
+def keep_batch_norms(network: nn.Module) -> None:
+    """Has the 2D batch norms of a network stay as they are, in training mode too."""
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.eval()
 
 
 class Encoded(NamedTuple):
@@ -202,16 +236,13 @@ class RAFTStereo(StereoNetwork):
         padding: Padding = "replicate",
         corner: Corner = "bottom_right",
     ) -> None:
-        for name, count in (("iterations", iterations), ("test_iterations", test_iterations)):
-            if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-                raise ConfigError(f"{name}={count!r} has to be a whole number from 1 up")
-        decay = 0.9 ** (15 / max(iterations - 1, 1))
+        check_iterations(iterations=iterations, test_iterations=test_iterations)
         super().__init__(
             max_disparity=max_disparity,
             multiple=32,
             # the coarsest level of the pyramid has a column
             least_size=8 * self.stride,
-            loss_weights=tuple(decay ** (iterations - 1 - i) for i in range(iterations)),
+            loss_weights=growing_weights(iterations),
             preprocessing=Preprocessing(mean=mean, std=std, statistics=statistics, padding=padding, corner=corner),
         )
         self.iterations = iterations
@@ -230,9 +261,7 @@ class RAFTStereo(StereoNetwork):
     def train(self, mode: bool = True) -> "RAFTStereo":
         """Sets the mode; batch norms stay in eval mode."""
         super().train(mode)
-        for module in self.modules():
-            if isinstance(module, nn.BatchNorm2d):
-                module.eval()
+        keep_batch_norms(self)
         return self
 
     def match(self, left: Tensor, right: Tensor) -> StereoOutput:

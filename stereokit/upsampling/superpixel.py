@@ -1,6 +1,7 @@
 """Superpixel upsampling: each pixel is a learned mean of the 3x3 coarse cells around it."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal, get_args
 
 import torch
@@ -11,7 +12,7 @@ from torch.nn import functional as F
 
 from stereokit.contracts import Guides
 from stereokit.errors import ConfigError, InputError
-from stereokit.layers import ConvNormAct, at_least_float32, crop_to, init_convolutions, relu
+from stereokit.layers import ConvNormAct, Norm, at_least_float32, crop_to, init_convolutions, relu
 from stereokit.registry import UPSAMPLERS
 
 __all__ = ["SuperpixelUpsampler", "Superpixels", "superpixel_upsample"]
@@ -155,6 +156,7 @@ class SuperpixelUpsampler(Superpixels):
         guide_channels: of the guides at hand, by stride; the one at the disparity's is needed, finer ones are used.
         stride: of the disparity; None for `scale`, which ends at full resolution.
         padding: outside the coarse map, see `superpixel_upsample`.
+        norm: of all layers.
 
     Shape: disparity (B, h, w) and guides by stride to (B, h * scale, w * scale), values not scaled.
 
@@ -176,19 +178,21 @@ class SuperpixelUpsampler(Superpixels):
         guide_channels: Mapping[int, int],
         stride: int | None = None,
         padding: Padding = "replicate",
+        norm: Norm = "batch",
     ) -> None:
         super().__init__(scale=scale, guide_channels=guide_channels, stride=stride, padding=padding)
+        conv = partial(ConvNormAct, norm=norm)
         stride = self.stride
         self.strides = [stride >> i for i in range(1, scale.bit_length() - 1)]
         self.guide_channels = {s: guide_channels[s] for s in (stride, *self.strides) if s in guide_channels}
-        self.stem = nn.Sequential(ConvNormAct(guide_channels[stride], 24), ConvNormAct(24, 24, activation=relu))
+        self.stem = nn.Sequential(conv(guide_channels[stride], 24), conv(24, 24, activation=relu))
         self.up = nn.ModuleList()
         self.merge = nn.ModuleList()
         channels = 24
         for stride in self.strides:
-            self.up.append(ConvNormAct(channels, 32, 4, stride=2, transposed=True))
+            self.up.append(conv(channels, 32, 4, stride=2, transposed=True))
             channels = 32 + self.guide_channels.get(stride, 0)
-            self.merge.append(ConvNormAct(channels, channels))
+            self.merge.append(conv(channels, channels))
         self.head = nn.ConvTranspose2d(channels, 9, 4, stride=2, padding=1)
         init_convolutions(self.head)
 

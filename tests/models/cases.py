@@ -246,6 +246,49 @@ CASES: dict[str, Case] = {
         overrides={"iterations": 2, "test_iterations": 2},
         size=(64, 128),
     ),
+    # of each, the 16 weights of a norm that is never read are left out
+    "rt_igev": Case(
+        parameters=4_165_162 - 16,
+        training_only=84_297,
+        golden=Golden(
+            "rt_igev",
+            norm=(0.8, 1.2),
+            taps={
+                "geometry": Tap("geometry", "4/4"),
+                "logits": Tap("classifier", "4/4"),
+                "lookup_1": Tap("lookup", "4/4"),
+                "hidden1": Tap("update.units.0", "8/2/2"),
+                "mask_feature": Tap("superpixels.stem", "4/4"),
+            },
+            overrides={"test_iterations": 4},
+            logits=5e-4,
+        ),
+        loss="sequence",
+        overrides={"iterations": 2, "test_iterations": 2},
+    ),
+    "igev": Case(
+        parameters=12_598_114 - 16,
+        training_only=84_297,
+        golden=Golden(
+            "igev",
+            norm=(0.6, 0.8),
+            taps={
+                "volume": Tap("geometry.stem_guidance", "2/1/4/4"),
+                "geometry": Tap("geometry", "2/1/4/4"),
+                "logits": Tap("classifier", "4/4"),
+                "lookup_1_geometry": Tap("lookup", "4/4"),
+                "lookup_1_pairs": Tap("pair_lookup", "4/4"),
+                "hidden1_0": Tap("update.units.0", "8/2/2"),
+                "hidden1_1": Tap("update.units.1", "8/2/2"),
+                "hidden1_2": Tap("update.units.2", "8/1/1"),
+                "mask_feature": Tap("superpixels.stem", "4/4"),
+            },
+            overrides={"test_iterations": 4},
+            logits=5e-4,
+        ),
+        loss="sequence",
+        overrides={"iterations": 2, "test_iterations": 2},
+    ),
 }
 
 
