@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.calibration import Calibration, read_calibration
-from stereokit.cameras.cloud import CLOUD_SUFFIXES, Axes, Holes
+from stereokit.cameras.cloud import CLOUD_SUFFIXES, Axes, Holes, PointCloud
 from stereokit.cameras.consistency import occluded, right_disparity
-from stereokit.cameras.depth import DEPTH_SUFFIXES, depth_from_disparity, fill_background, write_depth
+from stereokit.cameras.depth import DEPTH_SUFFIXES, Depth, depth_from_disparity, fill_background, write_depth
+from stereokit.data.inputs import ImageLike
 from stereokit.data.pairs import ImagePair
 from stereokit.errors import ConfigError
 from stereokit.inference import DisparityResult, Predictor
@@ -113,16 +114,8 @@ class DepthFiles:
         paths = self.paths(pair.name)
         if not paths:
             return []
-        rectification = predictor.rectification
-        calibration = self.calibration if rectification is None else rectification.calibration
-        assert calibration is not None
-        calibration.check_size(*result.size)
-        valid = None
-        if self.options.left_right or self.options.cloud is not None:
-            views = predictor.rectified(pair.left, pair.right)
-            left, right = (view[0].permute(1, 2, 0).numpy() for view in views)
-        if self.options.left_right:
-            valid = ~occluded(result.disparity, right_disparity(_match(predictor), left, right))
+        calibration = self.calibration_of(result, predictor)
+        left, valid = self.views(result, pair.left, pair.right, predictor)
         lines = []
         for path in paths:
             if path.stem.endswith("_cloud"):
@@ -131,16 +124,72 @@ class DepthFiles:
                 lines.append(self._write_depth(path, calibration, result, valid))
         return lines
 
-    def _write_depth(
-        self, path: Path, calibration: Calibration, result: DisparityResult, valid: npt.NDArray[np.bool_] | None
-    ) -> str:
+    def calibration_of(self, result: DisparityResult, predictor: Predictor) -> Calibration:
+        """That of the rectified pair, from the options or the predictor's rig.
+
+        Raises:
+            InputError: it is for images of another size.
+        """
+        rectification = predictor.rectification
+        calibration = self.calibration if rectification is None else rectification.calibration
+        assert calibration is not None
+        calibration.check_size(*result.size)
+        return calibration
+
+    def views(
+        self, result: DisparityResult, left: ImageLike, right: ImageLike, predictor: Predictor
+    ) -> tuple[npt.NDArray[Any] | None, npt.NDArray[np.bool_] | None]:
+        """The rectified left view, for clouds, and the pixels that the right one sees too; None where nobody asked."""
+        if not self.options.left_right and self.options.cloud is None:
+            return None, None
+        first, second = (view[0].permute(1, 2, 0).numpy() for view in predictor.rectified(left, right))
+        if not self.options.left_right:
+            return first, None
+        return first, ~occluded(result.disparity, right_disparity(_match(predictor), first, second))
+
+    def depth(self, calibration: Calibration, result: DisparityResult, valid: npt.NDArray[np.bool_] | None) -> Depth:
+        """Metres, as the options say.
+
+        Raises:
+            InputError: options that do not fit the result.
+        """
         options = self.options
         kept = result.trusted(min_confidence=options.min_confidence, valid=valid)
         disparity = np.where(kept, result.disparity, np.nan)
         if options.holes == "background":
             disparity = fill_background(disparity)
-        depth = depth_from_disparity(disparity, calibration, max_depth=options.max_depth)
-        beyond = write_depth(path, depth, overwrite=options.overwrite)
+        return depth_from_disparity(disparity, calibration, max_depth=options.max_depth)
+
+    def cloud(
+        self,
+        calibration: Calibration,
+        result: DisparityResult,
+        left: npt.NDArray[Any] | None,
+        valid: npt.NDArray[np.bool_] | None,
+    ) -> PointCloud:
+        """The points, as the options say.
+
+        Raises:
+            InputError: options that do not fit the result.
+        """
+        options = self.options
+        assert left is not None
+        chosen = {name: value for name in ("axes", "holes") if (value := getattr(options, name)) is not None}
+        return result.point_cloud(
+            calibration,
+            left,
+            min_confidence=options.min_confidence,
+            valid=valid,
+            edge_filter=options.edge_filter,
+            max_depth=options.max_depth,
+            **chosen,
+        )
+
+    def _write_depth(
+        self, path: Path, calibration: Calibration, result: DisparityResult, valid: npt.NDArray[np.bool_] | None
+    ) -> str:
+        depth = self.depth(calibration, result, valid)
+        beyond = write_depth(path, depth, overwrite=self.options.overwrite)
         known = depth[np.isfinite(depth)]
         reach = (
             f"{known.min():.2f} to {known.max():.2f} m, median {np.median(known):.2f} m" if known.size else "nothing"
@@ -153,21 +202,11 @@ class DepthFiles:
         path: Path,
         calibration: Calibration,
         result: DisparityResult,
-        left: npt.NDArray[Any],
+        left: npt.NDArray[Any] | None,
         valid: npt.NDArray[np.bool_] | None,
     ) -> str:
-        options = self.options
-        chosen = {name: value for name in ("axes", "holes") if (value := getattr(options, name)) is not None}
-        cloud = result.point_cloud(
-            calibration,
-            left,
-            min_confidence=options.min_confidence,
-            valid=valid,
-            edge_filter=options.edge_filter,
-            max_depth=options.max_depth,
-            **chosen,
-        )
-        cloud.write(path, overwrite=options.overwrite)
+        cloud = self.cloud(calibration, result, left, valid)
+        cloud.write(path, overwrite=self.options.overwrite)
         return f"{len(cloud):,} points; wrote {path}"
 
 

@@ -6,6 +6,8 @@ import sys
 import numpy as np
 from tqdm import tqdm
 
+from stereokit.cli import video
+from stereokit.cli.confidence import noise_warning
 from stereokit.cli.depth import DepthFiles, add_depth_options
 from stereokit.cli.loading import load_predictor
 from stereokit.cli.options import add_predictor_options, add_published_options, network_help
@@ -16,30 +18,31 @@ from stereokit.inference import Predictor, output_paths
 
 __all__ = ["add_arguments", "run"]
 
-NOISE = 0.6
-"""Mean confidence of a pair below which it says so: good pairs have 0.8 and more, most views that do not match less."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `stereokit predict`."""
-    parser.add_argument("left", help="left image, folder, or quoted pattern")
-    parser.add_argument("right", help="right image, folder, or quoted pattern")
+    parser.add_argument("left", help="left image, folder, quoted pattern, video, or camera:0 and the like")
+    parser.add_argument("right", nargs="?", help="the right one; left out where LEFT holds both views (--layout)")
     parser.add_argument("--model", help="name of the network that the weights are of (default: coex)")
     parser.add_argument("--weights", help=f"{network_help(exported=True)} (default: those of --model)")
     add_published_options(parser)
     parser.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     add_predictor_options(parser)
     add_depth_options(parser)
+    video.add_video_options(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace existing results")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Matches the pairs that the options name, and says what was written for each.
+    """Matches the pairs, or the video, that the options name, and says what was written.
 
     Raises:
         StereoKitError: options, a network or a single pair that can't be used; of several pairs the others are still
             matched.
     """
+    if video.is_video_call(options):
+        video.run(options)
+        return
     pairs = match_pairs(options.left, options.right)
     # now rather than after the first pair is matched
     check_folder(options.out)
@@ -76,13 +79,7 @@ def _predict(predictor: Predictor, pair: ImagePair, options: argparse.Namespace,
     )
     if len(written) < len(output_paths(options.out, pair.name)):
         tqdm.write(f"{pair.name}: no 16-bit PNG, which holds 0 to 255.996 px")
-    known = np.isfinite(result.disparity)
-    confidence = None if result.confidence is None or not known.any() else result.confidence[known].mean()
-    if confidence is not None and confidence < NOISE:
-        tqdm.write(
-            f"{pair.name}: mean confidence {confidence:.2f}, as of views that do not match; "
-            "'stereokit check' tells why",
-            file=sys.stderr,
-        )
+    if (warning := noise_warning(pair.name, result)) is not None:
+        tqdm.write(warning, file=sys.stderr)
     for line in depth.write(result, pair, predictor):
         tqdm.write(f"{pair.name}: {line}")

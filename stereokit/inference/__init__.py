@@ -5,17 +5,20 @@ from stereokit.inference.predictor import Predictor
 from stereokit.inference.result import DisparityResult, output_paths
 from stereokit.inference.scaling import MAX_SCALE, Run, match_scaled, scaled_size
 from stereokit.inference.tiles import match_tiles, tile_grid
+from stereokit.inference.video import FrameResult, match_video
 
 __all__ = [
     "MAX_SCALE",
     "BoundedMatcher",
     "DisparityResult",
+    "FrameResult",
     "MemoryPlan",
     "Predictor",
     "Run",
     "TooLarge",
     "match_scaled",
     "match_tiles",
+    "match_video",
     "output_paths",
     "scaled_size",
     "tile_grid",

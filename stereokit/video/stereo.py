@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterator, Sequence
 from types import TracebackType
 from typing import Any
 
+from stereokit.data.images import IMAGE_SUFFIXES
 from stereokit.data.pairs import match_pairs
 from stereokit.errors import ConfigError, InputError
 from stereokit.video.camera import Cameras
@@ -211,6 +212,8 @@ def _sources(
             elif place.kind == "stream":
                 yield Stream(place, stall_seconds)
             elif place.kind == "file":
+                if os.path.splitext(place.where)[1].lower() in IMAGE_SUFFIXES:
+                    raise InputError(f"{place.shown} is an image, no video; give two images, or a folder of frames")
                 yield VideoFile(place.where)
             else:
                 yield ImageSequence.at(place.where, rate or FOLDER_RATE)
