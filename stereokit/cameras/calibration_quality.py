@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -13,16 +13,35 @@ from stereokit.cameras.rig import Camera, Rig
 from stereokit.cameras.solving import Solution
 from stereokit.cameras.views import BoardView
 
-__all__ = ["Quality", "ViewQuality", "cautions", "coverage", "epipolar_rms", "largest_tilt", "view_quality"]
+__all__ = [
+    "LIMITS",
+    "Quality",
+    "ViewQuality",
+    "cautions",
+    "coverage",
+    "epipolar_rms",
+    "largest_tilt",
+    "share_covered",
+    "view_quality",
+]
 
 _CELLS = (6, 8)  # rows and columns
-_LEAST_COVERAGE = 0.6
-_LEAST_TILT = 20.0  # degrees
-_LEAST_DISTANCES = 1.5
-_MOST_RMS = 0.5  # px
-_MOST_HELD_OUT = 1.5
-_MOST_REJECTED = 0.25
-_FOCAL_LENGTHS = 0.05
+
+
+class Limits(NamedTuple):
+    """Beyond which a calibration is warned of."""
+
+    coverage: float = 0.6
+    tilt: float = 20.0  # degrees
+    distances: float = 1.5
+    rms: float = 0.5  # px
+    held_out: float = 1.5
+    noise: float = 0.05  # px, which is no reason to worry
+    rejected: float = 0.25
+    focal_lengths: float = 0.05
+
+
+LIMITS = Limits()
 
 
 @dataclass(frozen=True)
@@ -98,6 +117,11 @@ def coverage(points: Iterable[npt.NDArray[np.float64]], size: tuple[int, int]) -
     return counts.astype(np.intp)
 
 
+def share_covered(counts: npt.NDArray[np.intp]) -> float:
+    """The part of the cells of `coverage` that hold corners."""
+    return float((counts > 0).mean())
+
+
 def largest_tilt(turns: Sequence[npt.NDArray[np.float64]]) -> float:
     """The largest angle between two boards in degrees, of their turns as vectors along the axis."""
     normals = np.stack([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
@@ -122,39 +146,38 @@ def cautions(quality: Quality, rig: Rig, views: int, rejected: int) -> tuple[str
 
 def _cautions(quality: Quality, rig: Rig, views: int, rejected: int) -> Iterator[str]:
     for side, counts in (("left", quality.left_coverage), ("right", quality.right_coverage)):
-        share = float((counts > 0).mean())
+        share = share_covered(counts)
         corners = counts[[0, 0, -1, -1], [0, -1, 0, -1]]
-        if share < _LEAST_COVERAGE:
+        if share < LIMITS.coverage:
             yield (
                 f"the board was seen in {share:.0%} of the {side} image; show it in all of it, at least "
-                f"{_LEAST_COVERAGE:.0%}"
+                f"{LIMITS.coverage:.0%}"
             )
         elif (corners == 0).any():
             yield (
                 f"the board was never seen in {(corners == 0).sum()} of the 4 corners of the {side} image; show "
                 "it there too"
             )
-    if quality.tilt < _LEAST_TILT:
+    if quality.tilt < LIMITS.tilt:
         yield f"the board was tilted by {quality.tilt:.0f} degrees at most; tilt it by 20 to 45, in all directions"
     near, far = quality.distances
-    if far < _LEAST_DISTANCES * near:
+    if far < LIMITS.distances * near:
         yield f"the board was {near:.2g} to {far:.2g} m away; show it at distances that differ by more, such as 1 : 2"
-    if quality.rms > _MOST_RMS:
+    if quality.rms > LIMITS.rms:
         yield (
             f"the error is {quality.rms:.2f} px; expected 0.5 or less: check that the board is flat and its sizes "
             "are right"
         )
-    # half a tenth of a pixel is noise
-    if quality.held_out_rms > max(_MOST_HELD_OUT * quality.epipolar_rms, 0.05):
+    if quality.held_out_rms > max(LIMITS.held_out * quality.epipolar_rms, LIMITS.noise):
         yield (
             f"rows differ by {quality.held_out_rms:.2f} px in views held out and by {quality.epipolar_rms:.2f} px "
             "in the others; "
             "take more views"
         )
-    if rejected > _MOST_REJECTED * views:
+    if rejected > LIMITS.rejected * views:
         yield f"{rejected} of {views} views were rejected; check that both cameras take their pictures at one moment"
     ratio = rig.left.fx / rig.right.fx
-    if abs(ratio - 1) > _FOCAL_LENGTHS:
+    if abs(ratio - 1) > LIMITS.focal_lengths:
         yield f"the focal lengths are {rig.left.fx:.0f} and {rig.right.fx:.0f} px; expected two cameras alike"
 
 

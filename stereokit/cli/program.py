@@ -8,7 +8,21 @@ from types import ModuleType
 from typing import NoReturn
 
 from stereokit._version import __version__
-from stereokit.cli import bench, check, convert, data, export, info, predict, synth, train
+from stereokit.cli import (
+    bench,
+    calibrate,
+    calibrate_board,
+    check,
+    convert,
+    data,
+    export,
+    info,
+    predict,
+    rectify,
+    synth,
+    synth_rig,
+    train,
+)
 from stereokit.cli import eval as evaluation
 from stereokit.cli import list as listing
 from stereokit.errors import StereoKitError
@@ -19,6 +33,9 @@ __all__ = ["main"]
 COMMANDS: Mapping[str, tuple[ModuleType, str]] = {
     "predict": (predict, "turn a rectified pair, or many, into disparity maps"),
     "check": (check, "find out whether a pair is rectified, in order, and fit to be matched"),
+    "calibrate": (calibrate, "find the lenses and the pose of two cameras from views of a board"),
+    "calibrate board": (calibrate_board, "print a board to calibrate with, as PDF or PNG"),
+    "rectify": (rectify, "turn views of a calibrated rig into rectified pairs"),
     "eval": (evaluation, "count errors on data sets with ground truth"),
     "export": (export, "write a network as ONNX, OpenVINO or torch.export file, and check it"),
     "train": (train, "train a network by a recipe"),
@@ -28,6 +45,7 @@ COMMANDS: Mapping[str, tuple[ModuleType, str]] = {
     "info": (info, "parameters and multiply-adds of a network, block by block"),
     "convert": (convert, "turn a published checkpoint into a saved network"),
     "synth": (synth, "render synthetic pairs with ground truth, in SceneFlow's layout"),
+    "synth rig": (synth_rig, "render a rig: views of a board and a scene with true depth, to try calibrate on"),
 }
 """By name: the module, with `add_arguments(parser)` and `run(options)`, and a line of help."""
 
@@ -55,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:
         # the process is this command's own
         keep_freed_memory()
-    given = sys.argv[1:] if arguments is None else list(arguments)
+    given = _commanded(sys.argv[1:] if arguments is None else list(arguments))
     options, unknown = _parser().parse_known_args(given, argparse.Namespace(arguments=given))
     if unknown:
         _refuse(options.command, unknown)
@@ -72,6 +90,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return code or 0
+
+
+def _commanded(arguments: list[str]) -> list[str]:
+    """The arguments, with a command of two words as one."""
+    both = " ".join(arguments[:2])
+    return [both, *arguments[2:]] if both in COMMANDS and len(arguments) > 1 else arguments
 
 
 def _refuse(command: str, unknown: Sequence[str]) -> NoReturn:

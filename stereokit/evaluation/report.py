@@ -1,28 +1,22 @@
 """An evaluation as a page to look at: where a matcher fails, and how."""
 
-import base64
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
 from stereokit.data.datasets.dataset import StereoSample
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.images import to_uint8
 from stereokit.errors import ConfigError
-from stereokit.evaluation.report_page import Card, Figure, page
+from stereokit.evaluation.report_page import Card, evaluation_page
 from stereokit.evaluation.results import Evaluation, PairResult
 from stereokit.files import atomic_path, check_free, make_folder
 from stereokit.pictures import colorize, error_picture, robust_range
+from stereokit.pictures.page import MAX_WIDTH, Figure, exact, photograph
 
 __all__ = ["Report", "worst_first"]
-
-MAX_WIDTH = 960
-JPEG_QUALITY = 88
 
 
 def worst_first(pair: PairResult) -> tuple[float, float]:
@@ -89,7 +83,7 @@ class Report:
         rows = {result.name: sorted(result.pairs, key=worst_first) for result in evaluation.datasets}
         make_folder(self.path.parent)
         with atomic_path(self.path, overwrite=self.overwrite) as temporary:
-            temporary.write_text(page(evaluation, rows, cards), encoding="utf-8")
+            temporary.write_text(evaluation_page(evaluation, rows, cards), encoding="utf-8")
         return self.path
 
 
@@ -100,36 +94,15 @@ def _figures(sample: StereoSample, prediction: Disparity) -> tuple[Figure, ...]:
     has_truth = known is not None and bool(np.isfinite(known).any())
     value_range = robust_range(known if known is not None and has_truth else prediction)
     scale = f"{value_range[0]:.0f} to {value_range[1]:.0f} px"
-    figures = [Figure("Left image", "", _photograph(to_uint8(sample.left)))]
+    figures = [Figure("Left image", "", photograph(to_uint8(sample.left)))]
     if known is not None and has_truth:
-        figures.append(Figure("Ground truth", scale, _exact(colorize(known, value_range=value_range))))
-    figures.append(Figure("Prediction", scale, _photograph(colorize(prediction, value_range=value_range))))
+        figures.append(Figure("Ground truth", scale, exact(colorize(known, value_range=value_range))))
+    figures.append(Figure("Prediction", scale, photograph(colorize(prediction, value_range=value_range))))
     if known is not None and has_truth:
         # What is drawn smaller has to spread further to be seen.
         dilate = max(1, round(prediction.shape[1] / MAX_WIDTH))
         occluded = None if sample.nonocc is None else ~sample.nonocc
         errors = error_picture(prediction, known, occluded=occluded, dilate=dilate)
         note = "darker where occluded" if occluded is not None else ""
-        figures.append(Figure("Error", note, _exact(errors)))
+        figures.append(Figure("Error", note, exact(errors)))
     return tuple(figures)
-
-
-def _photograph(rgb: npt.NDArray[np.uint8]) -> str:
-    return _data_uri(_shrunk(rgb, cv2.INTER_AREA), "jpeg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-
-
-def _exact(rgb: npt.NDArray[np.uint8]) -> str:
-    """Single pixels and colours that mean something stay as they are."""
-    return _data_uri(_shrunk(rgb, cv2.INTER_NEAREST), "png", [cv2.IMWRITE_PNG_COMPRESSION, 9])
-
-
-def _shrunk(rgb: npt.NDArray[np.uint8], interpolation: int) -> npt.NDArray[Any]:
-    height, width = rgb.shape[:2]
-    if width <= MAX_WIDTH:
-        return rgb
-    return cv2.resize(rgb, (MAX_WIDTH, max(1, round(height * MAX_WIDTH / width))), interpolation=interpolation)
-
-
-def _data_uri(rgb: npt.NDArray[Any], kind: str, options: list[int]) -> str:
-    _, encoded = cv2.imencode(f".{kind}", np.ascontiguousarray(rgb[:, :, ::-1]), options)
-    return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}"
