@@ -101,7 +101,7 @@ def _step(views: Views, every: int | None) -> int:
 
 def _looked_at(views: Views, step: int) -> Iterator[ViewPair]:
     total = None if views.length is None else -(-views.length // step)
-    with tqdm(total=total, unit="pair", desc="looking for the board") as bar:
+    with tqdm(total=total, unit="pair", desc="looking for the board", disable=None) as bar:
         for index, pair in enumerate(views.read(None)):
             if index % step == 0:
                 yield pair

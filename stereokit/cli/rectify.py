@@ -75,7 +75,7 @@ def _write_images(views: Views, rectification: Rectification, out: Path, overwri
     names = list(views.names)
     check_free([out / side / f"{name}.png" for name in names for side in ("left", "right")], overwrite=overwrite)
     failed = []
-    for name in tqdm(names, unit="pair", disable=len(names) == 1):
+    for name in tqdm(names, unit="pair", disable=None if len(names) > 1 else True):
         try:
             ((_, left, right),) = views.read({name})
             rectified = rectification(left, right)
@@ -103,7 +103,7 @@ def _write_videos(views: Views, rectification: Rectification, out: Path, overwri
             temporary = [stack.enter_context(atomic_path(path, overwrite=overwrite)) for path in paths]
             writers = [_writer(path, rectification, views.rate) for path in temporary]
             try:
-                for _, *pair in tqdm(views.read(None), total=views.length, unit="frame"):
+                for _, *pair in tqdm(views.read(None), total=views.length, unit="frame", disable=None):
                     for writer, view in zip(writers, rectification(pair[0], pair[1]), strict=True):
                         writer.write(_bgr(view))
                     count += 1

@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> None:
     near = wide * board.square * rig.left.fx / (0.75 * rig.left.width)
     far = max(1.5 * near, board.square * rig.left.fx / _NEAREST)
     poses = board_poses(options.views, seed=options.seed, near=near, far=min(far, 3 * near))
-    for i, pose in enumerate(tqdm(poses, total=options.views, unit="pair")):
+    for i, pose in enumerate(tqdm(poses, total=options.views, unit="pair", disable=None)):
         views = renderer([board_plane(board, *pose)], seed=options.seed + i)
         for side, view in zip(("left", "right"), views, strict=True):
             write_samples(out / side / names[i], view, overwrite=options.overwrite)

@@ -96,13 +96,8 @@ def test_what_can_not_be_calibrated_is_one_line(views, tmp_path, capsys, monkeyp
         ((left, views / "absent", *WORDS), "absent"),
         ((views / "left.mkv", views / "both.mkv", *WORDS), "a pair has one size"),
     ]:
-        assert message in fails(capsys, "calibrate", *words).split(" 100%")[-1], words
+        assert message in fails(capsys, "calibrate", *words), words
         assert list(tmp_path.iterdir()) == []
-
-
-def _last(err):
-    """What is said after the progress bar."""
-    return err.rstrip("\n").split("\n")[-1]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +105,7 @@ def _last(err):
     [
         ("swapped", "the views are swapped"),
         ("other board", r"0 of 16 pairs of views show the board \(not used: 16 x no board in the left nor the right"),
-        ("huge", "the baseline is 5.9.* expected 5 mm to 5 m; check the unit"),
+        ("tiny", "the baseline is 0.00.* expected 5 mm to 5 m; check the unit"),
         ("partner", "1 image without a partner"),
         ("size", "a camera is calibrated for one size"),
     ],
@@ -121,8 +116,8 @@ def test_views_that_make_no_rig_are_one_line(views, tmp_path, capsys, change, me
         places.reverse()
     elif change == "other board":
         words = ("--checkerboard", "11x8", "--square", "30mm")
-    elif change == "huge":
-        words = ("--checkerboard", "6x4", "--square", "2m")
+    elif change == "tiny":
+        words = ("--checkerboard", "6x4", "--square", "2mm")
     else:
         for side in ("left", "right"):
             (tmp_path / side).mkdir()
@@ -131,9 +126,8 @@ def test_views_that_make_no_rig_are_one_line(views, tmp_path, capsys, change, me
         places = [tmp_path / "left", tmp_path / "right"]
         if change == "partner":
             (tmp_path / "right" / "1.png").unlink()
-    code, _, err = run(capsys, "calibrate", *places, *words, "--out", tmp_path / "rig.json")
-    assert code == 2
-    assert re.search(message, _last(err)), err
+    err = fails(capsys, "calibrate", *places, *words, "--out", tmp_path / "rig.json")
+    assert re.search(message, err), err
     assert not (tmp_path / "rig.json").exists()
     assert not (tmp_path / "rig.html").exists()
 
@@ -168,9 +162,8 @@ def test_views_of_another_size_are_not_rectified(views, tmp_path, capsys):
         (views / "left" / "00.png", views / "right" / "00.png"),
         (views / "left.mkv", views / "right.mkv"),
     ):
-        code, _, err = run(capsys, "rectify", *places, *options)
-        assert code == 2
-        assert "the left view has 320 x 240 pixels; the rig is for 640 x 480" in _last(err)
+        error = fails(capsys, "rectify", *places, *options)
+        assert "the left view has 320 x 240 pixels; the rig is for 640 x 480" in error
         assert not (tmp_path / "out").exists()
     (tmp_path / "bad.json").write_text('{"format": "stereokit rig", "version": 1, "left": {"fx": 3}}')
     assert "fy" in fails(capsys, "rectify", *places, "--rig", tmp_path / "bad.json")
