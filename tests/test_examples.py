@@ -17,7 +17,8 @@ SAYS = {
 
 
 def test_every_example_is_run() -> None:
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(SAYS)
+    # the node needs ROS; tests/ros holds its arithmetic to account
+    assert {path.stem for path in EXAMPLES.glob("*.py")} - {"ros2_node"} == set(SAYS)
 
 
 @pytest.mark.parametrize("name", SAYS)

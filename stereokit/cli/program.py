@@ -9,6 +9,7 @@ from typing import NoReturn
 
 from stereokit._version import __version__
 from stereokit.cli import (
+    bag,
     bench,
     calibrate,
     calibrate_board,
@@ -36,6 +37,7 @@ COMMANDS: Mapping[str, tuple[ModuleType, str]] = {
     "calibrate": (calibrate, "find the lenses and the pose of two cameras from views of a board"),
     "calibrate board": (calibrate_board, "print a board to calibrate with, as PDF or PNG"),
     "rectify": (rectify, "turn views of a calibrated rig into rectified pairs"),
+    "bag": (bag, "turn the images of a ROS bag into one of disparity and point clouds"),
     "eval": (evaluation, "count errors on data sets with ground truth"),
     "export": (export, "write a network as ONNX, OpenVINO or torch.export file, and check it"),
     "train": (train, "train a network by a recipe"),

@@ -38,5 +38,5 @@ def import_optional(package: str, purpose: str) -> ModuleType:
     except ImportError as error:
         raise ConfigError(
             f"{purpose} needs the package {package}, which can't be imported here ({error}); "
-            f"pip install 'stereokit[{EXTRAS[package]}]' installs it"
+            f"pip install 'stereokit[{EXTRAS[package.partition('.')[0]]}]' installs it"
         ) from error
