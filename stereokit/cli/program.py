@@ -23,6 +23,7 @@ from stereokit.cli import (
     synth,
     synth_rig,
     train,
+    view,
 )
 from stereokit.cli import eval as evaluation
 from stereokit.cli import list as listing
@@ -33,6 +34,7 @@ __all__ = ["main"]
 
 COMMANDS: Mapping[str, tuple[ModuleType, str]] = {
     "predict": (predict, "turn a rectified pair, or many, into disparity maps"),
+    "view": (view, "look at pairs and results in the browser: maps, cloud, distributions"),
     "check": (check, "find out whether a pair is rectified, in order, and fit to be matched"),
     "calibrate": (calibrate, "find the lenses and the pose of two cameras from views of a board"),
     "calibrate board": (calibrate_board, "print a board to calibrate with, as PDF or PNG"),

@@ -21,7 +21,7 @@ from stereokit.data.disparity_arrays import (
 from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path, read_file_bytes
 
-__all__ = ["NPY_MAGIC", "read_npy", "read_npz", "write_npy", "write_npz"]
+__all__ = ["NPY_MAGIC", "npz_holds", "read_npy", "read_npz", "write_npy", "write_npz"]
 
 NPY_MAGIC = b"\x93NUMPY"
 _HEADER_LIMIT = 4096
@@ -60,8 +60,12 @@ def write_npy(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = Fal
         np.save(file, values, allow_pickle=False)
 
 
-def read_npz(path: PathLike) -> Disparity:
+def read_npz(path: PathLike, *, entry: str | None = None) -> Disparity:
     """Reads a disparity map from a .npz file that holds one array, or one named "disparity".
+
+    Args:
+        path: the file.
+        entry: the name of another array to read, such as "confidence".
 
     Returns:
         (H, W) float32, NaN where the file holds NaN or an infinite value.
@@ -75,10 +79,14 @@ def read_npz(path: PathLike) -> Disparity:
         read_file_bytes(path, 0)  # whether it is a file
         with zipfile.ZipFile(path) as archive:
             names = [entry for entry in archive.namelist() if entry.endswith(".npy")]
-            chosen = "disparity.npy" if "disparity.npy" in names else names[0] if len(names) == 1 else None
+            wanted = "disparity" if entry is None else entry
+            chosen = f"{wanted}.npy" if f"{wanted}.npy" in names else None
+            if chosen is None and entry is None and len(names) == 1:
+                chosen = names[0]
             if chosen is None:
-                keys = ", ".join(repr(entry[:-4][:40]) for entry in names[:8]) or "no arrays"
-                raise InputError(f"{name} holds {keys}; expected one array, or one named 'disparity'")
+                keys = ", ".join(repr(key[:-4][:40]) for key in names[:8]) or "no arrays"
+                one = "one array, or " if entry is None else ""
+                raise InputError(f"{name} holds {keys}; expected {one}one named {wanted!r}")
             if archive.getinfo(chosen).compress_type not in _STORED_OR_DEFLATED:
                 raise InputError(f"{name} is compressed as numpy never does; write it with numpy.savez_compressed")
             with archive.open(chosen) as file:
@@ -87,6 +95,22 @@ def read_npz(path: PathLike) -> Disparity:
         raise
     except _BROKEN_ZIP as error:
         raise InputError(f"{name} is a broken npz: {_first_line(error)}") from error
+
+
+def npz_holds(path: PathLike, entry: str) -> bool:
+    """Whether a .npz file holds an array of this name; False for files of another kind too.
+
+    >>> import tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.npz"
+    >>> write_npz(path, [[1.0]])
+    >>> npz_holds(path, "disparity"), npz_holds(path, "confidence")
+    (True, False)
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return f"{entry}.npy" in archive.namelist()
+    except _BROKEN_ZIP:
+        return False
 
 
 def write_npz(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = False) -> None:

@@ -18,9 +18,10 @@ from stereokit.contracts import StereoOutput
 from stereokit.data.inputs import ImageLike, to_pair
 from stereokit.errors import ConfigError, InputError
 from stereokit.inference.bounds import TooLarge
+from stereokit.inference.distributions import Distributions, find_distributions
 from stereokit.inference.planning import MemoryPlanner
 from stereokit.inference.result import DisparityResult
-from stereokit.inference.scaling import MAX_SCALE, match_scaled, scaled_size
+from stereokit.inference.scaling import MAX_SCALE, match_scaled, scale_images, scaled_size
 from stereokit.network import check_least_size
 from stereokit.runtime.device import choose_device
 from stereokit.runtime.memory import MemorySize
@@ -176,6 +177,40 @@ class Predictor:
         seconds = time.perf_counter() - start - preparation
         confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
         return DisparityResult(output.disparity[0].cpu().numpy(), confidence, seconds, preparation)
+
+    def distributions(self, left: ImageLike, right: ImageLike) -> Distributions:
+        """What the network says about all candidates of a pair, from which the disparity comes.
+
+        The pair is matched once more, by PyTorch in single precision.
+
+        Args:
+            left: as for a call.
+            right: likewise.
+
+        Raises:
+            InputError: an image that can't be used, or a pair that does not fit into the memory as a whole.
+            ConfigError: the network has no distribution, or an exported file is run.
+
+        >>> predict = Predictor("coex", device="cpu")
+        >>> found = predict.distributions(*np.zeros((2, 50, 70, 3), np.uint8)).at([20], [30])
+        >>> int(found.kept.sum())
+        2
+        """
+        network = self.model
+        left, right = to_pair(left, right)
+        given = (left.shape[-2], left.shape[-1])
+        check_least_size(*given)
+        size = scaled_size(given, self.scale)
+        plan = self._planner.plan(*size)
+        if plan.how != "whole":
+            raise InputError(
+                f"a pair of {given[1]} x {given[0]} pixels does not fit into the memory as a whole, so there is no "
+                "distribution of all of it; use a smaller scale"
+            )
+        views = [view.to(self.device) for view in (left, right)]
+        if self.scale != 1:
+            views = [scale_images(view, size) for view in views]
+        return find_distributions(network, views[0], views[1], size=given)
 
 
 class _TimedBackend:

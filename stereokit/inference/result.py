@@ -11,10 +11,11 @@ import numpy.typing as npt
 from stereokit.calibration import Calibration
 from stereokit.cameras.cloud import PointCloud, point_cloud
 from stereokit.cameras.depth import Depth, depth_from_disparity
-from stereokit.data.disparity_files import write_disparity
+from stereokit.data.disparity_files import read_disparity, write_disparity
 from stereokit.data.disparity_png import fits_kitti_png
 from stereokit.data.images import write_image
-from stereokit.errors import InputError
+from stereokit.data.npy import npz_holds, read_npz
+from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path, check_free, make_folder
 from stereokit.pictures import picture_with_scale
 
@@ -124,6 +125,31 @@ class DisparityResult:
     def picture(self, value_range: tuple[float, float] | None = None) -> npt.NDArray[np.uint8]:
         """The disparity in colours above its scale, RGB."""
         return picture_with_scale(self.disparity, value_range=value_range)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> "DisparityResult":
+        """A result from a file that `save` wrote, or from another disparity file, see `read_disparity`.
+
+        Its confidence comes from .npz alone. Unknown pixels are NaN, and `seconds` is NaN too.
+
+        Raises:
+            InputError: a file that can't be read; or confidence of another size, or outside of [0, 1].
+
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "a.npz"
+        >>> DisparityResult(np.ones((2, 3), np.float32), np.full((2, 3), 0.5, np.float32), 0.1).save(path)
+        >>> float(DisparityResult.read(path).confidence.mean())
+        0.5
+        """
+        disparity, confidence = read_disparity(path), None
+        if npz_holds(path, "confidence"):
+            confidence = read_npz(path, entry="confidence")
+            if confidence.shape != disparity.shape or not (confidence.min() >= 0 and confidence.max() <= 1):
+                raise InputError(
+                    f"{printable(path)}: expected confidence in [0, 1] of shape {disparity.shape}, got shape "
+                    f"{confidence.shape}, {confidence.min():g} to {confidence.max():g}"
+                )
+        return cls(disparity, confidence, seconds=float("nan"))
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Writes the disparity in the format that the suffix names.

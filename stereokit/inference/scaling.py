@@ -50,7 +50,7 @@ def match_scaled(run: Run, left: Tensor, right: Tensor, *, scale: float) -> Ster
     """
     height, width = left.shape[-2:]
     scaled = scaled_size((height, width), scale)
-    output = run(_scale_images(left, scaled), _scale_images(right, scaled))
+    output = run(scale_images(left, scaled), scale_images(right, scaled))
     factor = width / scaled[1]
     confidence = None if output.confidence is None else _sample(output.confidence, (height, width)).to(left.device)
     return StereoOutput((_sample(output.disparity, (height, width)) * factor).to(left.device), confidence=confidence)
@@ -76,7 +76,8 @@ def scaled_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
     return height, width
 
 
-def _scale_images(images: Tensor, size: tuple[int, int]) -> Tensor:
+def scale_images(images: Tensor, size: tuple[int, int]) -> Tensor:
+    """Images (B, 3, H, W) at another height and width; uint8 becomes float32 in [0, 1]."""
     # area means, of windows that are not equally wide, would shift pixels to and fro by up to half a pixel
     scaled = F.interpolate(as_float(images).float(), size, mode="bilinear", align_corners=False, antialias=True)
     return scaled.to(images.dtype) if images.is_floating_point() else scaled

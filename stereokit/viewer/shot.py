@@ -1,0 +1,105 @@
+"""One matched pair, and what of it goes to the page."""
+
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereokit.inference import DisparityResult
+from stereokit.pictures import robust_range
+
+__all__ = ["Image", "Shot", "encode_image"]
+
+Image: TypeAlias = npt.NDArray[np.uint8]
+"""(H, W, 3), RGB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One matched pair.
+
+    Args:
+        number: by which the page asks for it.
+        name: of the pair, or of the frame.
+        left: (H, W, 3), RGB.
+        right: likewise.
+        result: its disparity.
+        lossless: whether the images go to the page as PNG; else as JPEG, which is faster.
+    """
+
+    number: int
+    name: str
+    left: Image
+    right: Image
+    result: DisparityResult
+    lossless: bool = True
+
+    def facts(self) -> dict[str, Any]:
+        """What the page has to know before it asks for images and arrays, in plain JSON."""
+        height, width = self.result.size
+        low, high = robust_range(self.result.disparity)
+        known = np.isfinite(self.result.disparity)
+        confidence = self.result.confidence
+        return {
+            "number": self.number,
+            "name": self.name,
+            "width": width,
+            "height": height,
+            "range": [low, high],
+            "known": float(known.mean()),
+            "seconds": None if np.isnan(self.result.seconds) else self.result.seconds,
+            "confidence": None if confidence is None else float(np.nanmean(confidence)),
+        }
+
+    def disparity_bytes(self) -> bytes:
+        """float32, little-endian, row by row; NaN where unknown."""
+        disparity = self.result.disparity.astype("<f4")
+        disparity[~np.isfinite(disparity)] = np.nan
+        return disparity.tobytes()
+
+    def confidence_bytes(self) -> bytes | None:
+        """uint16, little-endian, row by row; 65535 stands for 1."""
+        if self.result.confidence is None:
+            return None
+        return np.rint(np.nan_to_num(self.result.confidence) * 65535).astype("<u2").tobytes()
+
+    def image_bytes(self, view: str) -> tuple[bytes, str]:
+        """The view "left" or "right" as a file, and its type."""
+        image = self.left if view == "left" else self.right
+        return encode_image(image, ".png" if self.lossless else ".jpg")
+
+    def archive(self, more: Mapping[str, bytes]) -> bytes:
+        """A zip of both images and the disparity, which `stereokit view` opens again.
+
+        Args:
+            more: further files.
+        """
+        arrays: dict[str, Any] = {"disparity": self.result.disparity}
+        if self.result.confidence is not None:
+            arrays["confidence"] = self.result.confidence
+        held = io.BytesIO()
+        np.savez_compressed(held, **arrays)
+        files = {
+            "left.png": encode_image(self.left, ".png")[0],
+            "right.png": encode_image(self.right, ".png")[0],
+            "left_disparity.npz": held.getvalue(),
+            **more,
+        }
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w") as archive:
+            for name, content in files.items():
+                # without the time of the day, so that the same frame gives the same file
+                archive.writestr(zipfile.ZipInfo(name), content)
+        return packed.getvalue()
+
+
+def encode_image(image: Image, suffix: str) -> tuple[bytes, str]:
+    """An image as PNG or JPEG, and its type."""
+    settings = {".png": [cv2.IMWRITE_PNG_COMPRESSION, 1], ".jpg": [cv2.IMWRITE_JPEG_QUALITY, 92]}[suffix]
+    _, encoded = cv2.imencode(suffix, np.ascontiguousarray(image[:, :, ::-1]), settings)
+    return encoded.tobytes(), "image/png" if suffix == ".png" else "image/jpeg"
