@@ -155,11 +155,14 @@ class _Handler(BaseHTTPRequestHandler):
     def _checked(self) -> Answer:
         if not host_is_allowed(self.headers.get("Host"), self.server.host):
             return _refusal(403, "the Host header names another machine; open the page by the address that was printed")
-        parts = urlsplit(self.path)
+        try:
+            parts = urlsplit(self.path)
+            query = {key: values[-1] for key, values in parse_qs(parts.query, max_num_fields=8).items()}
+        except ValueError:
+            return _refusal(400, "the address can't be understood")
         if self.headers.get("Sec-Fetch-Site") == "cross-site" and parts.path != "/":
             return _refusal(403, "another site asked for this; open the page itself")
         try:
-            query = {key: values[-1] for key, values in parse_qs(parts.query, max_num_fields=8).items()}
             return _route(self.server.desk, parts.path, query)
         except _Refused as refused:
             return _refusal(refused.status, str(refused))

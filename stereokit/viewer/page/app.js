@@ -276,7 +276,9 @@ class App {
     if (!this.geometry.metric) write("depth", "needs a calibration");
     else {
       const z = this.geometry.depth(d), error = this.geometry.standardError(d, Number($("error").value));
-      write("depth", Number.isFinite(z) ? `${z.toFixed(3)} m ± ${shown(error)} m` : "unknown");
+      // as many digits as the error leaves
+      const digits = Math.min(4, Math.max(0, 1 - Math.floor(Math.log10(error))));
+      write("depth", Number.isFinite(z) ? `${z.toFixed(digits)} m ± ${error.toFixed(digits)} m` : "unknown");
     }
     write("confidence", frame.confidence === null ? "none" : `${(frame.confidence[i] * 100).toFixed(0)} %`);
     const match = at.x - d, inside = match >= -0.5 && match < frame.width - 0.5;

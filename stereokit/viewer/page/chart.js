@@ -2,7 +2,7 @@
 // The distribution over the candidates at a pixel: all of them, those kept, and the estimate.
 
 function drawChart(box, found, estimate) {
-  const width = 300, height = 170, left = 34, right = 8, top = 18, bottom = 30;
+  const width = 300, height = 170, left = 40, right = 8, top = 18, bottom = 30;
   const {candidates} = found, last = candidates.length - 1;
   const values = candidates.map(c => c.disparity), gaps = values.slice(1).map((v, i) => v - values[i]).filter(gap => gap > 0);
   const gap = gaps.length ? Math.min(...gaps) : 1, low = Math.min(...values) - gap / 2, high = Math.max(...values) + gap / 2;

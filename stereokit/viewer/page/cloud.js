@@ -108,12 +108,12 @@ class Cloud {
     }
   }
 
-  /** From where the camera is. */
+  /** From beside the camera, where the cloud looks as deep as it is. */
   home() {
     const [, middle] = spread(this.disparity), z = this.geometry.depth(middle);
     this.away = Number.isFinite(z) ? z : 1;
     this.pivot = [0, 0, this.away];
-    this.yaw = this.pitch = 0;
+    [this.yaw, this.pitch] = [0.3, -0.15];
   }
 
   rotate(yaw, pitch) {
