@@ -3,33 +3,38 @@
 import argparse
 import webbrowser
 from pathlib import Path
+from typing import get_args
 
-from stereokit.calibration import read_calibration
+from stereokit.calibration import Calibration, read_calibration
 from stereokit.cli.loading import check_published_options, load_predictor
 from stereokit.cli.options import add_predictor_options, add_published_options, network_help
 from stereokit.data.pairs import match_pairs
 from stereokit.errors import ConfigError
 from stereokit.files import check_free
-from stereokit.inference import Predictor
-from stereokit.viewer import Album, Desk, ViewServer, write_page
+from stereokit.video import Layout, is_video, open_stereo_video
+from stereokit.viewer import Album, Desk, Frames, ViewServer, write_page
 from stereokit.viewer.desk import DISPARITY_ERROR
 from stereokit.viewer.server import PORT
 from stereokit.viewer.sources import find_results
 
 __all__ = ["add_arguments", "run"]
 
-OF_NETWORKS = ("model", "weights", "precision", "max_memory", "too_large", "scale")
+OF_NETWORKS = ("model", "weights", "precision", "max_memory", "too_large", "scale", "rig")
 OF_SERVERS = ("host", "port", "open")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `stereokit view`."""
-    parser.add_argument("left", help="left image, folder, or quoted pattern")
-    parser.add_argument("right", help="right image, folder, or quoted pattern")
+    parser.add_argument(
+        "left", help="left image, folder, quoted pattern, video, camera:0, or address such as rtsp://..."
+    )
+    parser.add_argument("right", nargs="?", help="the same of the right view; left out where one video holds both")
+    parser.add_argument("--layout", choices=get_args(Layout), help="how one video or camera holds both views")
     parser.add_argument(
         "--disparity", metavar="PLACE", help="show this result, a file or the folder of 'predict', and match nothing"
     )
     parser.add_argument("--calibration", metavar="FILE", help="of the cameras of all pairs; gives metres")
+    parser.add_argument("--rig", metavar="FILE", help="of the cameras: their views are rectified first; gives metres")
     parser.add_argument(
         "--disparity-error",
         type=float,
@@ -56,17 +61,31 @@ def run(options: argparse.Namespace) -> None:
     """
     _check(options)
     calibration = None if options.calibration is None else read_calibration(options.calibration)
-    pairs = match_pairs(options.left, options.right)
-    results = None if options.disparity is None else find_results(options.disparity, pairs)
-    predictor: Predictor | None = None if results is not None else load_predictor(options)
-    desk = Desk(Album(pairs, results), predictor, calibration, options.disparity_error)
+    if options.layout is None and options.right is not None and not is_video(options.left):
+        pairs = match_pairs(options.left, options.right)
+        results = None if options.disparity is None else find_results(options.disparity, pairs)
+        _show(options, Album(pairs, results), calibration)
+        return
+    if options.disparity is not None or options.html is not None:
+        flag = "--disparity" if options.disparity is not None else "--html"
+        raise ConfigError(f"{flag} is for pairs of images, not for a video or a camera; leave it out")
+    with open_stereo_video(options.left, options.right, layout=options.layout) as video:
+        _show(options, Frames(video, name=video.name, live=video.live), calibration)
+
+
+def _show(options: argparse.Namespace, source: Album | Frames, calibration: Calibration | None) -> None:
+    predictor = None if options.disparity is not None else load_predictor(options)
+    desk = Desk(source, predictor, calibration, options.disparity_error)
     try:
         if options.html is not None:
             size = write_page(options.html, desk, overwrite=options.overwrite)
             print(f"wrote {options.html}, {size / 1e6:.1f} MB; open it in a browser")
             return
         # what is wrong with the first pair is said here
-        desk.entry(0)
+        if isinstance(source, Album):
+            desk.entry(0)
+        else:
+            desk.next(-1)
         _serve(desk, options)
     finally:
         desk.close()
@@ -86,6 +105,8 @@ def _serve(desk: Desk, options: argparse.Namespace) -> None:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuses options that have no effect, and a page that is there already."""
+    if options.rig is not None and options.calibration is not None:
+        raise ConfigError("--calibration has no effect beside --rig, which gives that of the rectified pair")
     if options.html is None and options.overwrite:
         raise ConfigError("--overwrite has no effect without --html; leave it out")
     if options.html is not None:

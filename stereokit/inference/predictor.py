@@ -179,7 +179,7 @@ class Predictor:
         return DisparityResult(output.disparity[0].cpu().numpy(), confidence, seconds, preparation)
 
     def distributions(self, left: ImageLike, right: ImageLike) -> Distributions:
-        """What the network says about all candidates of a pair, from which the disparity comes.
+        """What the network says about all candidates of a pair that is rectified, from which the disparity comes.
 
         The pair is matched once more, by PyTorch in single precision.
 

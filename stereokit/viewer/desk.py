@@ -12,6 +12,7 @@ import numpy.typing as npt
 from stereokit._version import __version__
 from stereokit.calibration import Calibration
 from stereokit.cameras.consistency import occluded, right_disparity
+from stereokit.data.images import to_uint8
 from stereokit.errors import ConfigError, InputError
 from stereokit.inference import Distributions, PixelDistributions, Predictor
 from stereokit.pictures.colors import color_table
@@ -41,7 +42,7 @@ class Desk:
     Args:
         source: pairs in any order, or frames one after the other.
         predictor: matches them; None where the source has results.
-        calibration: of all pairs; without it there are no metres.
+        calibration: of all pairs; without it there are no metres. A predictor with a rig has its own.
         disparity_error: the standard error of disparity in px, from which that of depth follows.
 
     Raises:
@@ -63,7 +64,10 @@ class Desk:
         self.source = source
         self.predictor = predictor
         self.calibration = calibration
+        if predictor is not None and predictor.rectification is not None:
+            self.calibration = predictor.rectification.calibration
         self.disparity_error = disparity_error
+        self.closed = False
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="matching")
         self._source_lock = threading.Lock()
         self._lock = threading.Lock()
@@ -147,7 +151,7 @@ class Desk:
         predictor = self._needed("occlusion needs the right view's disparity")
 
         def match(left: Any, right: Any) -> Any:
-            return predictor(left, right).disparity
+            return predictor.match(left, right).disparity
 
         def find(shot: Shot) -> npt.NDArray[np.bool_]:
             return occluded(shot.result.disparity, right_disparity(match, shot.left, shot.right))
@@ -174,8 +178,12 @@ class Desk:
         return self._worker.submit(found.at, [y], [x]).result()
 
     def close(self) -> None:
-        """Finishes what is being matched, and drops the rest."""
-        self._worker.shutdown(wait=False, cancel_futures=True)
+        """Finishes what is being matched, and drops the rest; the source gives no more frames."""
+        self.closed = True
+        # a live source that stalls gives up by itself, by then
+        self._source_lock.acquire(timeout=15)
+        # a thread that outlives the program's end takes PyTorch's threads down with it
+        self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _network(self) -> str | None:
         if self.predictor is None:
@@ -191,17 +199,21 @@ class Desk:
         return self.predictor
 
     def _match(self, views: Views) -> Shot:
-        height, width = views.left.shape[:2]
+        left, right, result = views.left, views.right, views.result
+        if self.predictor is not None and self.predictor.rectification is not None:
+            first, second = self.predictor.rectified(left, right)
+            left, right = (to_uint8(view[0].permute(1, 2, 0).numpy()) for view in (first, second))
         if self.calibration is not None:
-            self.calibration.check_size(height, width)
-        result = views.result
+            self.calibration.check_size(*left.shape[:2])
         if result is None:
             predictor = self._needed("matching needs a network")
-            result = self._worker.submit(predictor, views.left, views.right).result()
+            result = self._worker.submit(predictor.match, left, right).result()
+            if predictor.rectification is not None:
+                result = result.masked(predictor.rectification.seen(result.disparity))
         lossless = isinstance(self.source, Album)
         with self._lock:
             self._made += 1
-            shot = Shot(self._made, views.name, views.left, views.right, result, lossless)
+            shot = Shot(self._made, views.name, left, right, result, lossless)
             self._shots[shot.number] = shot
             while len(self._shots) > KEPT:
                 self._shots.popitem(last=False)

@@ -171,6 +171,8 @@ class _Handler(BaseHTTPRequestHandler):
         except StereoKitError as error:
             return _refusal(422, str(error))
         except Exception:
+            if self.server.desk.closed:
+                return _refusal(503, "the viewer is ending")
             traceback.print_exc()
             return _refusal(500, "an error of the viewer itself; its output has the details")
 

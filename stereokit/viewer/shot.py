@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.inference import DisparityResult
-from stereokit.pictures import robust_range
 
 __all__ = ["Image", "Shot", "encode_image"]
 
@@ -42,16 +41,12 @@ class Shot:
     def facts(self) -> dict[str, Any]:
         """What the page has to know before it asks for images and arrays, in plain JSON."""
         height, width = self.result.size
-        low, high = robust_range(self.result.disparity)
-        known = np.isfinite(self.result.disparity)
         confidence = self.result.confidence
         return {
             "number": self.number,
             "name": self.name,
             "width": width,
             "height": height,
-            "range": [low, high],
-            "known": float(known.mean()),
             "seconds": None if np.isnan(self.result.seconds) else self.result.seconds,
             "confidence": None if confidence is None else float(np.nanmean(confidence)),
         }

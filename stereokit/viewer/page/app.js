@@ -29,7 +29,7 @@ class App {
     this.mapped.wipe = 0;
     this.cloud = new Cloud($("cloud"), $("marks"), {
       picked: pixel => { this.hover(pixel.x, pixel.y); this.measure(pixel); },
-      turned: () => this.redraw(),
+      turned: () => this.turned(),
       key: event => this.cloudKey(event),
     });
     this.listen();
@@ -97,6 +97,7 @@ class App {
       this.pause(true);
     }
     this.playing = false;
+    this.redraw();
   }
 
   pause(paused) {
@@ -184,7 +185,7 @@ class App {
     const {frame, map, geometry} = this;
     if (map === "confidence") return frame.confidence;
     if (map !== "depth") return frame.disparity;
-    if (frame.depths === undefined) frame.depths = Float32Array.from(frame.disparity, d => geometry.depth(d));
+    if (frame.depths === undefined) frame.depths = mapped(frame.disparity, d => geometry.depth(d));
     return frame.depths;
   }
 
@@ -204,7 +205,9 @@ class App {
   kept() {
     const {frame} = this, least = $("least").value / 100;
     if (least === 0 || frame.confidence === null) return null;
-    return Uint8Array.from(frame.confidence, c => c >= least ? 1 : 0);
+    const result = new Uint8Array(frame.confidence.length);
+    for (let i = 0; i < result.length; i++) result[i] = frame.confidence[i] >= least ? 1 : 0;
+    return result;
   }
 
   /** Colours the map, and gives the cloud its points. */
@@ -222,8 +225,9 @@ class App {
     this.mapped.image = frame.left;
     const hide = $("flying").checked;
     if (hide && !this.flying) this.flying = flyingPixels(frame.disparity, frame.width, frame.height);
-    const points = Float32Array.from(frame.disparity);
-    for (let i = 0; i < points.length; i++) if ((kept && !kept[i]) || (hide && this.flying[i])) points[i] = NaN;
+    const points = frame.disparity.slice();
+    for (let i = 0; i < points.length; i++)
+      if (points[i] !== points[i] || (kept && !kept[i]) || (hide && this.flying[i])) points[i] = HIDDEN;
     this.cloud.show(this.geometry, frame.width, frame.height, points, $("by-map").checked && map !== "occlusion" ? dots.data : this.photoDots);
     this.hover(this.pixel && this.pixel.x, this.pixel && this.pixel.y);
   }
@@ -446,6 +450,14 @@ class App {
     this.redraw();
   }
 
+  /** While the cloud moves, a slow graphics card draws fewer points; all of them when it stands still. */
+  turned() {
+    this.movingUntil = performance.now() + 150;
+    clearTimeout(this.still);
+    this.still = setTimeout(() => this.redraw(), 200);
+    this.redraw();
+  }
+
   busy(busy) { document.body.classList.toggle("busy", busy); }
 
   redraw() {
@@ -455,7 +467,7 @@ class App {
       this.right.lines = this.left.lines = $("lines").checked;
       for (const picture of [this.left, this.right, this.mapped]) picture.draw();
       const color = getComputedStyle($("cloud")).backgroundColor.match(/[\d.]+/g).slice(0, 3).map(v => v / 255);
-      this.cloud.draw(color);
+      this.cloud.draw(color, this.playing || performance.now() < this.movingUntil);
       if (this.frame) this.describeMeasured();
       document.body.dataset.drawn = Number(document.body.dataset.drawn || 0) + 1;
     });

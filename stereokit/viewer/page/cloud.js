@@ -7,6 +7,7 @@ const VERTEX = `#version 300 es
 in float disparity;
 in vec4 color;
 uniform int columns;
+uniform int step;         // one pixel of so many is drawn
 uniform vec4 camera;      // fx, fy, cx, cy
 uniform vec2 stereo;      // baseline fx, cx1 - cx0
 uniform mat3 turn;
@@ -25,12 +26,13 @@ void main() {
     return;
   }
   float z = stereo.x / shift;
-  vec2 pixel = vec2(float(gl_VertexID % columns), float(gl_VertexID / columns));
+  int index = gl_VertexID * step;
+  vec2 pixel = vec2(float(index % columns), float(index / columns));
   vec3 seen = turn * (vec3((pixel - camera.zw) * z / camera.xy, z) - pivot) + vec3(0.0, 0.0, away);
   vec2 place = (focal * seen.xy + centre * seen.z) * 2.0 / screen;
   float near = away * 0.01, far = away * 400.0;
   gl_Position = vec4(place.x, -place.y, ((far + near) * seen.z - 2.0 * far * near) / (far - near), seen.z);
-  gl_PointSize = clamp(1.2 * focal.x * z / camera.x / max(seen.z, near), 1.0, 48.0);
+  gl_PointSize = clamp(1.2 * sqrt(float(step)) * focal.x * z / camera.x / max(seen.z, near), 1.0, 48.0);
 }`;
 
 const FRAGMENT = `#version 300 es
@@ -79,17 +81,25 @@ class Cloud {
     gl.useProgram(program);
     gl.enable(gl.DEPTH_TEST);
     const uniform = name => gl.getUniformLocation(program, name);
-    this.uniforms = Object.fromEntries(["columns", "camera", "stereo", "turn", "pivot", "away", "focal", "centre", "screen"].map(name => [name, uniform(name)]));
-    this.buffers = ["disparity", "color"].map((name, i) => {
-      const buffer = gl.createBuffer(), place = gl.getAttribLocation(program, name);
-      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-      gl.enableVertexAttribArray(place);
-      i === 0 ? gl.vertexAttribPointer(place, 1, gl.FLOAT, false, 0, 0) : gl.vertexAttribPointer(place, 4, gl.UNSIGNED_BYTE, true, 0, 0);
-      return buffer;
-    });
+    this.uniforms = Object.fromEntries(["columns", "step", "camera", "stereo", "turn", "pivot", "away", "focal", "centre", "screen"].map(name => [name, uniform(name)]));
+    this.buffers = [gl.createBuffer(), gl.createBuffer()];
+    this.places = ["disparity", "color"].map(name => gl.getAttribLocation(program, name));
+    this.places.forEach(place => gl.enableVertexAttribArray(place));
+    this.step = 1;
   }
 
-  /** disparity: NaN where there is no point; colors: RGBA, alpha 0 where there is none either. */
+  /** Draws every so many'th pixel. */
+  drawPoints(step) {
+    const {gl} = this;
+    gl.uniform1i(this.uniforms.step, step);
+    [[1, gl.FLOAT, false], [4, gl.UNSIGNED_BYTE, true]].forEach(([size, type, normalised], i) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers[i]);
+      gl.vertexAttribPointer(this.places[i], size, type, normalised, 4 * step, 0);
+    });
+    gl.drawArrays(gl.POINTS, 0, Math.floor(this.disparity.length / step));
+  }
+
+  /** disparity: HIDDEN where there is no point; colors: RGBA, alpha 0 where there is none either. */
   show(geometry, width, height, disparity, colors) {
     const first = this.geometry === null || this.width !== width || this.height !== height;
     Object.assign(this, {geometry, width, height, disparity, colors});
@@ -100,9 +110,7 @@ class Cloud {
   upload() {
     const {gl} = this;
     if (!gl || !this.geometry) return;
-    const held = new Float32Array(this.disparity.length);
-    for (let i = 0; i < held.length; i++) held[i] = this.disparity[i] === this.disparity[i] ? this.disparity[i] : HIDDEN;
-    for (const [buffer, data] of [[this.buffers[0], held], [this.buffers[1], this.colors]]) {
+    for (const [buffer, data] of [[this.buffers[0], this.disparity], [this.buffers[1], this.colors]]) {
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
       gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_DRAW);
     }
@@ -222,7 +230,8 @@ class Cloud {
     return Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
   }
 
-  draw(background) {
+  /** moving: fewer points will do where all of them take long, so that turning stays fluent. */
+  draw(background, moving = false) {
     fitToScreen(this.canvas);
     fitToScreen(this.marks);
     const {gl, canvas} = this;
@@ -241,8 +250,16 @@ class Cloud {
     gl.uniform2fv(u.focal, focal);
     gl.uniform2fv(u.centre, centre);
     gl.uniform2f(u.screen, canvas.width, canvas.height);
-    gl.drawArrays(gl.POINTS, 0, this.disparity.length);
+    this.drawPoints(moving ? this.step : 1);
     this.drawMarks();
+    if (!moving) return;
+    // the next frame comes when the card is done
+    const start = performance.now();
+    requestAnimationFrame(() => {
+      const took = performance.now() - start;
+      if (took > 60) this.step = Math.min(7, this.step + 2);
+      else if (took < 25) this.step = Math.max(1, this.step - 2);
+    });
   }
 
   drawMarks() {

@@ -6,6 +6,13 @@ async function checked(response) {
   return response;
 }
 
+/** Values to floats; Float32Array.from takes ten times as long. */
+function mapped(values, change) {
+  const result = new Float32Array(values.length);
+  for (let i = 0; i < result.length; i++) result[i] = change(values[i]);
+  return result;
+}
+
 /** An error of the server's own words, or that it is not there. */
 async function ask(path) {
   let response;
@@ -31,7 +38,7 @@ class ServedSource {
       image("left"), image("right"), array("disparity", Float32Array),
       frame.confidence === null ? null : array("confidence", Uint16Array),
     ]);
-    return {...frame, left, right, disparity, confidence: confidence && Float32Array.from(confidence, v => v / 65535)};
+    return {...frame, left, right, disparity, confidence: confidence && mapped(confidence, v => v / 65535)};
   }
 
   async occlusion(frame) { return new Uint8Array(await (await ask(`shot/${frame.number}/occluded`)).arrayBuffer()); }
@@ -58,8 +65,8 @@ class EmbeddedSource {
       image(frame.left), image(frame.right), unpackMap(frame.disparity, width, height),
       frame.levels === null ? null : unpackMap(frame.levels, width, height),
     ]);
-    const disparity = Float32Array.from(codes, code => code === 0 ? NaN : (code - 1) / frame.steps);
-    return {...frame, left, right, disparity, held: frame, confidence: levels && Float32Array.from(levels, v => v / 255)};
+    const disparity = mapped(codes, code => code === 0 ? NaN : (code - 1) / frame.steps);
+    return {...frame, left, right, disparity, held: frame, confidence: levels && mapped(levels, v => v / 255)};
   }
 
   async occlusion(frame) {

@@ -1,0 +1,93 @@
+"""How many frames a second the viewer's page shows, and how fast its cloud turns, in headless Chromium."""
+
+import argparse
+import shutil
+import threading
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+from playwright.sync_api import sync_playwright
+from torch import Tensor, nn
+
+from stereokit import Predictor, StereoOutput
+from stereokit.calibration import Calibration
+from stereokit.viewer import Desk, Frames, ViewServer
+
+HEIGHT, WIDTH = 625, 800
+SCRIPT = """async seconds => {
+  const frame = () => new Promise(requestAnimationFrame), number = () => app.frame.number;
+  let from = performance.now(), first = number();
+  while (performance.now() - from < seconds * 1000) await frame();
+  const live = (number() - first) / (performance.now() - from) * 1000;
+  app.pause(true);
+  while (app.playing) await frame();
+  const gl = app.cloud.gl, dot = new Uint8Array(4);
+  const timed = work => {
+    const times = [];
+    for (let i = 0; i < 15; i++) { const start = performance.now(); work(); times.push(performance.now() - start); }
+    return times.sort((a, b) => a - b)[7];
+  };
+  const turn = timed(() => {
+    app.cloud.rotate(0.01, 0);
+    app.cloud.draw([0, 0, 0]);  // all points
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, dot);
+  });
+  const range = timed(() => app.compose());
+  const box = app.cloud.canvas.getBoundingClientRect();
+  const pick = timed(() => app.cloud.pick({clientX: box.left + box.width / 2, clientY: box.top + box.height / 2}));
+  return {live, turn, range, pick};
+}"""
+
+
+class Free(nn.Module):
+    """Costs nothing: a plane that is slanted, the same for every pair."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.plane = torch.linspace(10, 100, HEIGHT)[:, None].expand(HEIGHT, WIDTH).clone()
+
+    def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
+        """The plane, whatever the views show."""
+        if left.shape[-2:] != self.plane.shape:
+            return StereoOutput(torch.ones_like(left[:, 0], dtype=torch.float32))
+        return StereoOutput(self.plane[None], confidence=torch.full((1, HEIGHT, WIDTH), 0.9))
+
+
+def video() -> Iterator[Any]:
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 256, (4, HEIGHT // 8 + 1, WIDTH // 8, 3), dtype=np.uint8)
+    images = images.repeat(8, axis=1).repeat(8, axis=2)[:, :HEIGHT]
+    index = 0
+    while True:
+        yield SimpleNamespace(left=images[index % 4], right=images[(index + 1) % 4], index=index)
+        index += 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=10)
+    options = parser.parse_args()
+    camera = Calibration(fx=800.0, baseline=0.1, cx0=400.0, cx1=400.0, cy=312.0)
+    desk = Desk(Frames(video(), name="frames", live=True), Predictor(Free(), "cpu"), camera)
+    with ViewServer(desk, port=0) as server, sync_playwright() as api:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+        browser = api.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.set_default_timeout(120_000)
+        page.goto(server.url)
+        page.wait_for_function("() => window.app && app.frame && app.frame.number > 3")
+        found = page.evaluate(SCRIPT, options.seconds)
+        browser.close()
+        server.shutdown()
+    desk.close()
+    print(f"{WIDTH * HEIGHT:,} points: {found['live']:.1f} frames/s live")
+    print(f"the cloud turned and drawn in {found['turn']:.0f} ms (without a graphics card)")
+    print(f"a range of colours moved in {found['range']:.0f} ms, a point of the cloud found in {found['pick']:.0f} ms")
+
+
+if __name__ == "__main__":
+    main()
