@@ -2,26 +2,31 @@
 
 from stereokit._version import __version__
 from stereokit.aggregation import (
+    AttentionHourglass,
     EncoderDecoder,
     GwcHourglass,
     Hourglass,
     InvertedResidualHourglass,
     LevelPathAggregation,
     PlainAggregation,
+    SeparableHourglass,
+    ShortcutHourglass,
     StackedHourglass,
 )
 from stereokit.backbones import (
+    Embedding,
     FeaturePyramid,
     GwcTrunk,
     LevelPathBackbone,
     ResidualTower,
+    SeparableTrunk,
     SpatialPyramid,
     StridedTower,
     TopDownPyramid,
     UNet,
 )
 from stereokit.builder import build_model
-from stereokit.candidates import DisparityRange, NeighborhoodRange, UniformCandidates
+from stereokit.candidates import DisparityRange, MostProbable, NeighborhoodRange, UniformCandidates
 from stereokit.contracts import StereoOutput
 from stereokit.costs import (
     CombinedVolume,
@@ -29,6 +34,8 @@ from stereokit.costs import (
     CorrelationVolume,
     DifferenceVolume,
     GroupwiseCorrelationVolume,
+    InterlacedVolume,
+    MatchingNetwork,
 )
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
 from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregation
@@ -37,6 +44,8 @@ from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
 from stereokit.models import (
     DispNetC,
+    FastACVNet,
+    FastACVNetPlus,
     casstereo_gwc,
     casstereo_psm,
     coex,
@@ -47,6 +56,9 @@ from stereokit.models import (
     lightstereo_l,
     lightstereo_m,
     lightstereo_s,
+    mobilestereonet_2d,
+    mobilestereonet_3d,
+    pdsnet,
     psmnet,
     stereonet_8x,
     stereonet_16x,
@@ -68,7 +80,7 @@ from stereokit.registry import (
     list_components,
     list_models,
 )
-from stereokit.regression import SoftArgmin, TopKSoftArgmin
+from stereokit.regression import SoftArgmin, SubPixelMap, TopKSoftArgmin
 from stereokit.upsampling import ImageSuperpixelUpsampler, SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
 from stereokit.weights.opening import ExportedFile, open_network
@@ -89,6 +101,7 @@ __all__ = [
     "UPSAMPLERS",
     "WEIGHTS",
     "AdditiveGuidance",
+    "AttentionHourglass",
     "CheckpointError",
     "CombinedVolume",
     "ConcatenationVolume",
@@ -99,8 +112,11 @@ __all__ = [
     "DisparityRange",
     "DisparityResult",
     "EdgeAwareRefinement",
+    "Embedding",
     "EncoderDecoder",
     "ExportedFile",
+    "FastACVNet",
+    "FastACVNetPlus",
     "FeaturePyramid",
     "GroupwiseCorrelationVolume",
     "GwcHourglass",
@@ -108,14 +124,20 @@ __all__ = [
     "Hourglass",
     "ImageSuperpixelUpsampler",
     "InputError",
+    "InterlacedVolume",
     "InvertedResidualHourglass",
     "LevelPathAggregation",
     "LevelPathBackbone",
+    "MatchingNetwork",
+    "MostProbable",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
     "PlainAggregation",
     "Predictor",
     "ResidualTower",
+    "SeparableHourglass",
+    "SeparableTrunk",
+    "ShortcutHourglass",
     "SoftArgmin",
     "SpatialPyramid",
     "StackedHourglass",
@@ -124,6 +146,7 @@ __all__ = [
     "StereoNetwork",
     "StereoOutput",
     "StridedTower",
+    "SubPixelMap",
     "SuperpixelUpsampler",
     "TopDownPyramid",
     "TopKSoftArgmin",
@@ -146,7 +169,10 @@ __all__ = [
     "list_weights",
     "load_published",
     "load_weights",
+    "mobilestereonet_2d",
+    "mobilestereonet_3d",
     "open_network",
+    "pdsnet",
     "psmnet",
     "stereo_loss",
     "stereonet_8x",

@@ -15,7 +15,7 @@ from stereokit.contracts import (
     Upsampler,
 )
 from stereokit.errors import ConfigError
-from stereokit.stage import StageBlocks, guides_read, planes_scale
+from stereokit.stage import StageBlocks, guides_read, planes_scale, planes_upscale
 
 __all__ = ["Rule", "check_interface", "check_max_disparity", "check_network", "check_rules", "input_multiple"]
 
@@ -149,7 +149,8 @@ def _check_stage(backbone: Backbone, stage: StageBlocks, refinements: Sequence[R
     # with refinements, which can enlarge, the upsampler may end anywhere before them
     if not refinements or out_stride % upsampler.scale:
         check_rules([Rule(names["aggregation"], out_stride, names["upsampler"], upsampler.scale, "logits at stride:")])
-    levels = cost.planes * aggregation.upscale * (planes_scale(upsampler) if upsampler.domain == "volume" else 1)
+    levels = cost.planes * planes_upscale(aggregation)
+    levels *= planes_scale(upsampler) if upsampler.domain == "volume" else 1
     if stage.regression.min_levels > levels:
         raise ConfigError(
             f"{names['regression']} needs {stage.regression.min_levels} levels (its k), but {names['aggregation']} "

@@ -119,7 +119,10 @@ def rebuild(config: Mapping[str, Any], **overrides: Any) -> Any:
         )
     if getattr(network, "_config", "none of its own") is None:
         # a registered class, which knows nothing of its name
-        network._config = as_json({"name": name, **MODELS.resolve(name, settings, {})})
+        arguments = MODELS.resolve(name, settings, {})
+        # the weights that a network starts from are no part of what it is
+        arguments.pop("pretrained_backbone", None)
+        network._config = as_json({"name": name, **arguments})
     return network
 
 

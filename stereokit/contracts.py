@@ -94,7 +94,7 @@ class Candidates(NamedTuple):
     """(D,) or (B, D, h, w), in px, at any resolution; None where they are uniform from 0 and as far apart as the pixels
     of the maps that are compared, for which costs have a fast form."""
     weights: Tensor | None = None
-    """(B, D, h, w): their probability in the stage before."""
+    """(B, D, h, w): their probability in the stage before, by which the volume is multiplied."""
 
 
 class Distribution(NamedTuple):
@@ -236,7 +236,8 @@ class Aggregation(Protocol):
     planes_multiple: int
     """The number of planes is a multiple of this."""
     upscale: int
-    """The logits are this many times finer than the volume, in all three dimensions."""
+    """The logits are this many times finer than the volume, in all three dimensions; in the planes by the attribute
+    `planes_upscale`, where there is one."""
     loss_weights: tuple[float, ...]
     """Weight in the loss of each head, in their order."""
 

@@ -84,7 +84,8 @@ class StereoModel(StereoNetwork):
         stages: tuple[StageBlocks, ...] = (*coarse, self)
         check_network(backbone=backbone, stages=stages, refinements=refinements, max_disparity=max_disparity)
         self.multiple = input_multiple(backbone, stages, refinements)
-        self.least_size = max(MIN_SIZE, getattr(backbone, "least_size", 0))
+        limited = (backbone, *(stage.aggregation for stage in stages))
+        self.least_size = max(MIN_SIZE, *(getattr(block, "least_size", 0) for block in limited))
         weights = [stage.loss_weight * weight for stage in coarse for weight in stage_loss_weights(stage)]
         self.loss_weights = (*weights, *stage_loss_weights(self), *(r.loss_weight for r in refinements))
 

@@ -26,6 +26,7 @@ __all__ = [
     "StageOutput",
     "guides_read",
     "planes_scale",
+    "planes_upscale",
     "resample",
     "run_stage",
     "stage_loss_weights",
@@ -109,11 +110,13 @@ def run_stage(
     """
     stride, upsampler = blocks.stride, blocks.upsampler
     maps = left.matching[stride], right.matching[stride]
-    candidates = blocks.candidates(left, right, before).values
+    candidates, weights = blocks.candidates(left, right, before)
     planes = None
     if candidates is not None:
         planes = resample(candidates, (blocks.cost.planes, *maps[0].shape[-2:]), batch=len(maps[0]))
     volume = blocks.cost(*maps) if planes is None else blocks.cost(*maps, planes / stride)
+    if weights is not None:
+        volume = volume * resample(weights, tuple(volume.shape[2:]), batch=len(volume)).unsqueeze(1).to(volume.dtype)
     given = blocks.aggregation(volume, guides)
     heads = [_distribution(head, blocks, stride, planes) for head in (given if training else given[-1:])]
     if not training:
@@ -170,12 +173,16 @@ def _distribution(head: Tensor | Distribution, blocks: StageBlocks, stride: int,
     values = None if planes is None else resample(planes, tuple(logits.shape[1:]), batch=len(logits))
     if isinstance(head, Distribution):
         return head if values is None else head._replace(values=values)
-    upscale = blocks.aggregation.upscale
-    spacing = blocks.candidates.spacing / upscale
+    spacing = blocks.candidates.spacing / planes_upscale(blocks.aggregation)
     # a plane that is going to be divided is the middle of the fine ones, the first of which is 0
     parts = planes_scale(blocks.upsampler) if blocks.upsampler.domain == "volume" else 1
     first = (parts - 1) / 2 * spacing / parts
-    return Distribution(head, stride // upscale, spacing, first, values=values)
+    return Distribution(head, stride // blocks.aggregation.upscale, spacing, first, values=values)
+
+
+def planes_upscale(aggregation: Aggregation) -> int:
+    """By how much finer the logits of an aggregation are than its volume in the planes."""
+    return int(getattr(aggregation, "planes_upscale", aggregation.upscale))
 
 
 def planes_scale(upsampler: Upsampler) -> int:

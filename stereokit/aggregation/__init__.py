@@ -1,19 +1,28 @@
 """Cost volumes to logits over disparity."""
 
+from stereokit.aggregation.attention_hourglass import AttentionHourglass
+from stereokit.aggregation.attention_propagation import AttentionPropagation, propagate_attention
 from stereokit.aggregation.encoder_decoder import EncoderDecoder
 from stereokit.aggregation.gwc_hourglass import GwcHourglass
 from stereokit.aggregation.hourglass import Hourglass
 from stereokit.aggregation.inverted_residual import InvertedResidualHourglass
 from stereokit.aggregation.level_path import LevelPathAggregation
 from stereokit.aggregation.plain import PlainAggregation
+from stereokit.aggregation.separable_hourglass import SeparableHourglass
+from stereokit.aggregation.shortcut_hourglass import ShortcutHourglass
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
 
 __all__ = [
+    "AttentionHourglass",
+    "AttentionPropagation",
     "EncoderDecoder",
     "GwcHourglass",
     "Hourglass",
     "InvertedResidualHourglass",
     "LevelPathAggregation",
     "PlainAggregation",
+    "SeparableHourglass",
+    "ShortcutHourglass",
     "StackedHourglass",
+    "propagate_attention",
 ]

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from stereokit.contracts import GuidanceFactory, GuidancePlacement, Guides
+from stereokit.errors import ConfigError
 from stereokit.guidance.point import GuidancePlan, GuidancePoint
 from stereokit.layers import ConvNormAct, crop_to, init_convolutions
 from stereokit.registry import AGGREGATIONS
@@ -58,11 +59,14 @@ class VolumeHourglass(nn.Module):
         guide_channels: of the guides, by stride; needed at `stride`, twice, four and eight times it for "full".
         guidance: makes a guidance block, such as `GCE`; None for none.
         guidance_at: "one" guides the stem's output only, "full" that of every stage.
-        channels: of the stem and of the three scales below it.
+        channels: of the stem and of the three scales below it, or of two.
         stem: whether a convolution, with its guidance, comes first.
 
     Shape: volume (B, in_channels, D, H, W) and guides {stride: (B, G, H * stride0 / stride, ...)} to a volume
     (B, out_channels, D, H, W). D, H and W may be odd: what does not fit is cut.
+
+    Raises:
+        ConfigError: another number of scales.
 
     Source: CoEx, appendix "Detailed architecture", table "Cost aggregation module".
 
@@ -85,16 +89,23 @@ class VolumeHourglass(nn.Module):
         stem: bool = True,
     ) -> None:
         super().__init__()
+        if len(channels) not in (3, 4):
+            raise ConfigError(f"channels={channels!r}: give those of the stem, and of two or three scales below it")
         self.in_channels = in_channels
-        c0, c1, c2, c3 = channels
+        c0, c1, c2, *coarsest = channels
+        self.multiple = self.planes_multiple = 2 ** (len(channels) - 1)
         plan = GuidancePlan(guidance, guidance_at, stride, guide_channels)
 
         self.stem = ConvNormAct(in_channels, c0, dims=3) if stem else nn.Identity()
         self.stem_guidance = (plan if stem else replace(plan, guidance=None)).first(c0)
         self.down1 = Down(c0 if stem else in_channels, c1, plan.at(2, c1))
         self.down2 = Down(c1, c2, plan.at(4, c2))
-        self.down3 = Down(c2, c3, plan.at(8, c3))
-        self.up3 = Up(c3, c2, plan.at(4, c2))
+        self.down3: Down | None = None
+        self.up3: Up | None = None
+        if coarsest:
+            (c3,) = coarsest
+            self.down3 = Down(c2, c3, plan.at(8, c3))
+            self.up3 = Up(c3, c2, plan.at(4, c2))
         self.up2 = Up(c2, c1, plan.at(2, c1))
         self.up1 = nn.ConvTranspose3d(c1, out_channels, 4, stride=2, padding=1, bias=False)
         init_convolutions(self.up1)
@@ -105,8 +116,9 @@ class VolumeHourglass(nn.Module):
         x = self.stem_guidance(self.stem(volume), guides)
         x1 = self.down1(x, guides)
         x2 = self.down2(x1, guides)
-        x3 = self.down3(x2, guides)
-        x2 = self.up3(x3, x2, guides)
+        if self.down3 is not None and self.up3 is not None:
+            x3 = self.down3(x2, guides)
+            x2 = self.up3(x3, x2, guides)
         x1 = self.up2(x2, x1, guides)
         return crop_to(self.up1(x1), volume)
 
@@ -121,10 +133,13 @@ class Hourglass(VolumeHourglass):
         guide_channels: of the guides, by stride; needed at `stride`, twice, four and eight times it for "full".
         guidance: makes a guidance block, such as `GCE`; None for none.
         guidance_at: "one" guides the stem's output only, "full" that of every stage.
-        channels: of the stem and of the three scales below it.
+        channels: of the stem and of the three scales below it, or of two.
 
     Shape: volume (B, in_channels, D, H, W) and guides {stride: (B, G, H * stride0 / stride, ...)} to one tensor
     (B, D, H, W) of logits, larger is better. D, H and W may be odd: what does not fit is cut.
+
+    Raises:
+        ConfigError: another number of scales.
 
     Source: CoEx, appendix "Detailed architecture", table "Cost aggregation module".
 

@@ -1,21 +1,25 @@
 """Images to matching features and guides."""
 
+from stereokit.backbones.embedding import Embedding
 from stereokit.backbones.encoder import MobileNetV2Encoder, TimmEncoder
 from stereokit.backbones.feature_pyramid import FeaturePyramid
 from stereokit.backbones.gwc_trunk import GwcTrunk
 from stereokit.backbones.level_path import LevelPathBackbone
 from stereokit.backbones.residual import ResidualTower
+from stereokit.backbones.separable_trunk import SeparableTrunk
 from stereokit.backbones.spatial_pyramid import SpatialPyramid
 from stereokit.backbones.strided import StridedTower
 from stereokit.backbones.top_down_pyramid import TopDownPyramid
 from stereokit.backbones.unet import UNet
 
 __all__ = [
+    "Embedding",
     "FeaturePyramid",
     "GwcTrunk",
     "LevelPathBackbone",
     "MobileNetV2Encoder",
     "ResidualTower",
+    "SeparableTrunk",
     "SpatialPyramid",
     "StridedTower",
     "TimmEncoder",

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from torch import Tensor, nn
 
 from stereokit.errors import ConfigError
-from stereokit.layers import ConvNormAct, relu, residual_layer
+from stereokit.layers import ConvNormAct, ResidualBlock, SeparableBlock, relu, residual_layer
 
 __all__ = ["ResidualTrunk", "TrunkMaps"]
 
@@ -33,6 +33,8 @@ class ResidualTrunk(nn.Module):
     Args:
         full_size: the third convolution halves the size, in place of the first one.
         halvings: 3 to halve the size a third time, in place of the dilation.
+        stem: other three layers in place of the convolutions, the first of which halves the size.
+        block: of the layers.
 
     Raises:
         ConfigError: another number of halvings.
@@ -44,20 +46,27 @@ class ResidualTrunk(nn.Module):
     torch.Size([1, 128, 8, 12])
     """
 
-    def __init__(self, *, full_size: bool = False, halvings: int = 2) -> None:
+    def __init__(
+        self,
+        *,
+        full_size: bool = False,
+        halvings: int = 2,
+        stem: nn.Sequential | None = None,
+        block: type[ResidualBlock | SeparableBlock] = ResidualBlock,
+    ) -> None:
         super().__init__()
         if halvings not in (2, 3):
             raise ConfigError(f"halvings={halvings} of the residual layers: use 2 for stride 4, or 3 for stride 8")
         self.full_size = full_size
         self.multiple = 2**halvings
         halves_at = 2 if full_size else 0
-        self.stem = nn.Sequential(
+        self.stem = stem or nn.Sequential(
             *(ConvNormAct(32 if i else 3, 32, stride=2 if i == halves_at else 1, activation=relu) for i in range(3))
         )
-        self.layer1 = residual_layer(32, 32, 3)
-        self.layer2 = residual_layer(32, 64, 16, stride=2)
-        self.layer3 = residual_layer(64, 128, 3, stride=halvings - 1)
-        self.layer4 = residual_layer(128, 128, 3, dilation=4 - halvings)
+        self.layer1 = residual_layer(32, 32, 3, block=block)
+        self.layer2 = residual_layer(32, 64, 16, stride=2, block=block)
+        self.layer3 = residual_layer(64, 128, 3, stride=halvings - 1, block=block)
+        self.layer4 = residual_layer(128, 128, 3, dilation=4 - halvings, block=block)
 
     def maps(self, images: Tensor) -> TrunkMaps:
         """(B, 3, H, W), sides multiples of `multiple`, to the map of each part."""

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from stereokit.backbones.encoder import build_encoder
 from stereokit.contracts import FeatureInfo, Features
+from stereokit.errors import ConfigError
 from stereokit.layers import ConvNormAct, Norm, UpStep, image_stem
 from stereokit.registry import BACKBONES
 
@@ -22,14 +23,18 @@ class UNet(nn.Module):
 
     Args:
         encoder: a timm model with features at strides 4 to 32.
-        stem_channels: of the stem at strides 2 and 4.
+        stem_channels: of the stem at strides 2 and 4; a third number has it go on to stride 8, where it is
+            concatenated to the decoder too, and matched.
         pretrained: load timm's weights for the encoder.
         norm: of decoder and stem.
 
     Shape: (B, 3, H, W), sides multiples of 32, to `Features`; with the default encoder the channels are
     96 (matching) and {2: 32, 4: 96, 8: 64, 16: 192, 32: 160} (guides).
 
-    Source: CoEx, section "Matching cost computation".
+    Raises:
+        ConfigError: another number of stem channels.
+
+    Source: CoEx, section "Matching cost computation"; the stem at stride 8 is that of Fast-ACVNet.
 
     >>> UNet().eval()(torch.rand(1, 3, 64, 96)).matching[4].shape
     torch.Size([1, 96, 16, 24])
@@ -46,22 +51,26 @@ class UNet(nn.Module):
         norm: Norm = "batch",
     ) -> None:
         super().__init__()
-        stem2, stem4 = stem_channels
+        if len(stem_channels) not in (2, 3):
+            raise ConfigError(f"stem_channels={stem_channels!r}: give two, at strides 2 and 4, or a third, at 8")
+        stem2, stem4, *stem8 = stem_channels
         self.encoder = build_encoder(encoder, pretrained=pretrained)
         skips = self.encoder.channels
         self.stem_2 = image_stem(3, stem2, norm=norm)
         self.stem_4 = image_stem(stem2, stem4, norm=norm)
+        self.stem_8 = image_stem(stem4, sum(stem8), inner=stem4, norm=norm) if stem8 else None
         self.up_16 = UpStep(skips[32], skips[16], 2 * skips[16], norm=norm)
         self.up_8 = UpStep(self.up_16.out_channels, skips[8], 2 * skips[8], norm=norm)
         self.up_4 = UpStep(self.up_8.out_channels, skips[4], 2 * skips[4], norm=norm)
         self.merge_4 = ConvNormAct(self.up_4.out_channels, self.up_4.out_channels, norm=norm)
         matching = self.up_4.out_channels + stem4
+        eighth = self.up_8.out_channels + sum(stem8)
         self.info = FeatureInfo(
-            matching_channels={4: matching},
+            matching_channels={4: matching, 8: eighth} if stem8 else {4: matching},
             guide_channels={
                 2: stem2,
                 4: matching,
-                8: self.up_8.out_channels,
+                8: eighth,
                 16: self.up_16.out_channels,
                 32: skips[32],
             },
@@ -76,4 +85,7 @@ class UNet(nn.Module):
         x8 = self.up_8(x16, skips[8])
         x4 = self.merge_4(self.up_4(x8, skips[4]))
         x4 = torch.cat((x4, stem_4), dim=1)
-        return Features(matching={4: x4}, guides={2: stem_2, 4: x4, 8: x8, 16: x16, 32: skips[32]})
+        matching = {4: x4}
+        if self.stem_8 is not None:
+            x8 = matching[8] = torch.cat((x8, self.stem_8(stem_4)), dim=1)
+        return Features(matching=matching, guides={2: stem_2, 4: x4, 8: x8, 16: x16, 32: skips[32]})

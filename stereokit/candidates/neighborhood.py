@@ -4,11 +4,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stereokit.contracts import Candidates, Features, Prediction
+from stereokit.contracts import Candidates, Distribution, Features, Prediction
 from stereokit.errors import ConfigError
 from stereokit.registry import CANDIDATES
 
-__all__ = ["DisparityRange", "NeighborhoodRange", "spread_candidates"]
+__all__ = ["DisparityRange", "NeighborhoodRange", "distribution_of", "spread_candidates"]
 
 
 def spread_candidates(low: Tensor, high: Tensor, planes: int) -> Tensor:
@@ -58,6 +58,14 @@ def _of_before(before: Prediction | None, block: nn.Module) -> Prediction:
             "coarse stage (coarse=[{...}]), and 'uniform' in the first"
         )
     return before
+
+
+def distribution_of(before: Prediction | None, block: nn.Module) -> Distribution:
+    """The distribution of the stage before; raises `ConfigError` where there is none."""
+    distribution = _of_before(before, block).distribution
+    if distribution is None:
+        raise ConfigError(f"{type(block).__name__} wants a distribution from the stage before, which gives none")
+    return distribution
 
 
 @CANDIDATES.register("range")

@@ -9,6 +9,8 @@ from stereokit.costs.correlation import (
     groupwise_correlation_volume,
 )
 from stereokit.costs.difference import DifferenceVolume, difference_volume
+from stereokit.costs.interlaced import InterlacedVolume, interlaced_volume
+from stereokit.costs.matching_network import MatchingNetwork
 from stereokit.costs.pair_lookup import PairLookup, correlation_pyramid, look_up, look_up_on_demand
 from stereokit.costs.signed_correlation import SignedCorrelation, signed_correlation
 from stereokit.costs.volume_lookup import VolumeLookup, look_up_volume, volume_pyramid
@@ -19,6 +21,8 @@ __all__ = [
     "CorrelationVolume",
     "DifferenceVolume",
     "GroupwiseCorrelationVolume",
+    "InterlacedVolume",
+    "MatchingNetwork",
     "PairLookup",
     "SignedCorrelation",
     "VolumeLookup",
@@ -27,6 +31,7 @@ __all__ = [
     "correlation_volume",
     "difference_volume",
     "groupwise_correlation_volume",
+    "interlaced_volume",
     "look_up",
     "look_up_on_demand",
     "look_up_volume",

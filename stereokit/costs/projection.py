@@ -16,14 +16,15 @@ Projected: TypeAlias = Sequence[int] | Mapping[str, Any] | None
 
 
 class Projection(nn.Module):
-    """Convolutions 3x3 with norm and activation, then 1x1 alone, on both views alike; or nothing.
+    """Convolutions 3x3 with norm and activation, then one alone, on both views alike; or nothing.
 
     Args:
         in_channels: of the features.
-        widths: channels after each 3x3 and after the 1x1 convolution, which is the last; None leaves the features as
-            they are. A mapping holds these arguments by name.
+        widths: channels after each convolution; None leaves the features as they are. A mapping holds these arguments
+            by name.
         activation: "leaky_relu", "relu", ..., see `named_activation`.
-        bias: of the 1x1 convolution.
+        bias: of the last convolution.
+        last_kernel: its size.
 
     Shape: two (B, in_channels, H, W) to two (B, out_channels, H, W).
 
@@ -37,19 +38,27 @@ class Projection(nn.Module):
     """
 
     def __init__(
-        self, in_channels: int, widths: Projected, *, activation: str = "leaky_relu", bias: bool = True
+        self,
+        in_channels: int,
+        widths: Projected,
+        *,
+        activation: str = "leaky_relu",
+        bias: bool = True,
+        last_kernel: int = 1,
     ) -> None:
         super().__init__()
         self.layers = nn.Sequential()
         self.out_channels = in_channels
         if isinstance(widths, Mapping):
-            given = {"activation": activation, "bias": bias, **widths}
-            unknown = [key for key in given if key not in ("widths", "activation", "bias")]
-            if unknown or "widths" not in given:
+            given = {"activation": activation, "bias": bias, "last_kernel": last_kernel, **widths}
+            if given.keys() != {"widths", "activation", "bias", "last_kernel"}:
                 raise ConfigError(
-                    f"a projection has widths, an activation and a bias; got {', '.join(map(str, widths)) or 'nothing'}"
+                    "a projection has widths, an activation, a bias and a last_kernel; got "
+                    f"{', '.join(map(str, widths)) or 'nothing'}"
                 )
-            widths, activation, bias = given["widths"], given["activation"], given["bias"]
+            widths, activation, bias, last_kernel = (
+                given[key] for key in ("widths", "activation", "bias", "last_kernel")
+            )
         layers = [] if widths is None else list(widths)
         if widths is not None and not layers:
             raise ConfigError("a projection has one width or more; leave it out (None) for no projection")
@@ -57,7 +66,9 @@ class Projection(nn.Module):
             self.layers.append(ConvNormAct(self.out_channels, channels, activation=named_activation(activation)))
             self.out_channels = channels
         if layers:
-            self.layers.append(nn.Conv2d(self.out_channels, layers[-1], 1, bias=bias))
+            self.layers.append(
+                nn.Conv2d(self.out_channels, layers[-1], last_kernel, padding=last_kernel // 2, bias=bias)
+            )
             self.out_channels = layers[-1]
         init_convolutions(self.layers)
 

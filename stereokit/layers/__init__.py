@@ -1,5 +1,6 @@
 """Layers that blocks share."""
 
+from stereokit.layers.act_norm import ActNormResidual, conv_act_norm
 from stereokit.layers.casting import as_float, at_least_float32
 from stereokit.layers.conv_gru import ConvGRU
 from stereokit.layers.convolution import (
@@ -16,12 +17,13 @@ from stereokit.layers.image_stem import image_stem
 from stereokit.layers.interpolation import bilinear_upsample
 from stereokit.layers.inverted_residual import InvertedResidual
 from stereokit.layers.pooling import cell_means, tent_means
-from stereokit.layers.residual import ResidualBlock, residual_layer
+from stereokit.layers.residual import ResidualBlock, SeparableBlock, residual_layer
 from stereokit.layers.searched_cell import CellNodes, LevelPath, SearchedCell, level_size, resize
 from stereokit.layers.up_step import UpStep
 from stereokit.layers.warp import warp
 
 __all__ = [
+    "ActNormResidual",
     "Activation",
     "CellNodes",
     "ConvGRU",
@@ -31,11 +33,13 @@ __all__ = [
     "Norm",
     "ResidualBlock",
     "SearchedCell",
+    "SeparableBlock",
     "UpStep",
     "as_float",
     "at_least_float32",
     "bilinear_upsample",
     "cell_means",
+    "conv_act_norm",
     "crop_to",
     "image_stem",
     "init_convolutions",

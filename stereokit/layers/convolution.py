@@ -22,8 +22,8 @@ __all__ = [
 
 Activation = Callable[[], nn.Module]
 
-Norm = Literal["batch", "instance"]
-"""Batch norm; or instance norm without weights, which has no running statistics."""
+Norm = Literal["batch", "instance", "affine_instance"]
+"""Batch norm; or instance norm, without weights or with them, which has no running statistics."""
 
 _CONV: dict[tuple[int, bool], type[nn.Module]] = {
     (2, False): nn.Conv2d,
@@ -36,6 +36,8 @@ _NORM: dict[tuple[int, str], Callable[[int], nn.Module]] = {
     (3, "batch"): nn.BatchNorm3d,
     (2, "instance"): nn.InstanceNorm2d,
     (3, "instance"): nn.InstanceNorm3d,
+    (2, "affine_instance"): partial(nn.InstanceNorm2d, affine=True),
+    (3, "affine_instance"): partial(nn.InstanceNorm3d, affine=True),
 }
 
 
@@ -86,7 +88,7 @@ class ConvNormAct(nn.Sequential):
             dimension.
         groups: of channels that are convolved apart.
         bias: of the convolution; a batch norm makes it superfluous.
-        norm: "batch", "instance" or None for none.
+        norm: "batch", "instance", "affine_instance" or None for none.
         activation: called to make it; None leaves it out.
         order: "norm_act", or "act_norm" with the activation ahead of the norm.
         padding_mode: "zeros", or another one of PyTorch's convolutions.

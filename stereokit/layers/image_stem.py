@@ -7,8 +7,14 @@ from stereokit.layers.convolution import ConvNormAct, Norm, relu
 __all__ = ["image_stem"]
 
 
-def image_stem(in_channels: int, out_channels: int, *, norm: Norm = "batch") -> nn.Sequential:
+def image_stem(in_channels: int, out_channels: int, *, inner: int | None = None, norm: Norm = "batch") -> nn.Sequential:
     """Two 3x3 convolutions, the first of which halves the size.
+
+    Args:
+        in_channels: of the input.
+        out_channels: of the output.
+        inner: channels between the two; None for those of the output.
+        norm: after each of them.
 
     Source: CoEx, section "Matching cost computation".
 
@@ -16,7 +22,8 @@ def image_stem(in_channels: int, out_channels: int, *, norm: Norm = "batch") -> 
     >>> image_stem(3, 8)(torch.rand(1, 3, 6, 10)).shape
     torch.Size([1, 8, 3, 5])
     """
+    inner = out_channels if inner is None else inner
     return nn.Sequential(
-        ConvNormAct(in_channels, out_channels, stride=2, norm=norm),
-        ConvNormAct(out_channels, out_channels, norm=norm, activation=relu),
+        ConvNormAct(in_channels, inner, stride=2, norm=norm),
+        ConvNormAct(inner, out_channels, norm=norm, activation=relu),
     )

@@ -1,5 +1,7 @@
 """The inverted residual block of MobileNetV2."""
 
+from typing import Literal
+
 from torch import Tensor, nn
 
 from stereokit.layers.convolution import ConvNormAct, named_activation
@@ -15,6 +17,8 @@ class InvertedResidual(nn.Module):
         out_channels: of the output.
         stride: of the depth-wise convolution.
         expansion: by which the inner width is larger than `in_channels`.
+        dims: 2 for maps, 3 for volumes.
+        residual: add the input, where neither size nor width change.
 
     Source: Sandler et al., "MobileNetV2: inverted residuals and linear bottlenecks", CVPR 2018, table 1.
 
@@ -23,15 +27,24 @@ class InvertedResidual(nn.Module):
     torch.Size([1, 16, 3, 3])
     """
 
-    def __init__(self, in_channels: int, out_channels: int, *, stride: int = 1, expansion: int = 4) -> None:
+    def __init__(
+        self,
+        in_channels: int,
+        out_channels: int,
+        *,
+        stride: int = 1,
+        expansion: int = 4,
+        dims: Literal[2, 3] = 2,
+        residual: bool = True,
+    ) -> None:
         super().__init__()
         inner, relu6 = expansion * in_channels, named_activation("relu6")
-        self.widen = ConvNormAct(in_channels, inner, 1, activation=relu6)
-        self.depthwise = ConvNormAct(inner, inner, stride=stride, groups=inner, activation=relu6)
-        self.narrow = ConvNormAct(inner, out_channels, 1, activation=None)
-        self.adds_input = stride == 1 and in_channels == out_channels
+        self.widen = ConvNormAct(in_channels, inner, 1, dims=dims, activation=relu6)
+        self.depthwise = ConvNormAct(inner, inner, dims=dims, stride=stride, groups=inner, activation=relu6)
+        self.narrow = ConvNormAct(inner, out_channels, 1, dims=dims, activation=None)
+        self.adds_input = residual and stride == 1 and in_channels == out_channels
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, in_channels, H, W) to (B, out_channels, H / stride, W / stride)."""
+        """(B, in_channels, (D,) H, W) to (B, out_channels, (D / stride,) H / stride, W / stride)."""
         y: Tensor = self.narrow(self.depthwise(self.widen(x)))
         return x + y if self.adds_input else y

@@ -2,6 +2,7 @@
 
 from stereokit.losses.cross_entropy import CrossEntropy, masked_cross_entropy, truth_of_cells
 from stereokit.losses.l1 import L1, mean_of_cells
+from stereokit.losses.laplace import LaplaceCrossEntropy, laplace_cross_entropy
 from stereokit.losses.quantile import Quantile, masked_pinball
 from stereokit.losses.robust import Robust
 from stereokit.losses.sequence import Sequence
@@ -11,11 +12,13 @@ from stereokit.losses.total import Loss, named_loss, stereo_loss
 __all__ = [
     "L1",
     "CrossEntropy",
+    "LaplaceCrossEntropy",
     "Loss",
     "Quantile",
     "Robust",
     "Sequence",
     "SmoothL1",
+    "laplace_cross_entropy",
     "masked_cross_entropy",
     "masked_pinball",
     "masked_smooth_l1",

@@ -52,6 +52,21 @@ def masked_cross_entropy(distribution: Distribution, truth: Tensor, *, max_dispa
     >>> round(masked_cross_entropy(half_of_each_level, torch.full((1, 4, 4), 2.0)).item(), 4)  # log 2
     0.6931
     """
+    cells, known, logits = known_cells(distribution, truth, max_disparity)
+    last = logits.shape[1] - 1
+    lower, share = _split(distribution, cells, known, last)
+    log_mass = at_least_float32(logits).log_softmax(1)
+    share = share.to(log_mass.dtype)
+    below, above = (log_mass.gather(1, level.clamp(max=last).long()) for level in (lower, lower + 1))
+    # a level without a share may be impossible: 0 times -inf is 0
+    entropy = -torch.where(share < 1, (1 - share) * below, 0) - torch.where(share > 0, share * above, 0)
+    return mean_over_known(entropy.squeeze(1), known)
+
+
+def known_cells(
+    distribution: Distribution, truth: Tensor, max_disparity: float | None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The truth of each cell (B, h, w), whether it is known, and the logits (B, L, h, w) of these cells."""
     logits = distribution.logits
     cells = truth_of_cells(truth, distribution.stride)
     rows, columns = cells.shape[1:]
@@ -60,15 +75,17 @@ def masked_cross_entropy(distribution: Distribution, truth: Tensor, *, max_dispa
             f"ground truth {tuple(truth.shape)} at stride {distribution.stride} wants logits of at least "
             f"({len(truth)}, L, {rows}, {columns}); got {tuple(logits.shape)}"
         )
-    known = valid_pixels(cells, max_disparity=max_disparity)
-    last = logits.shape[1] - 1
-    lower, share = _split(distribution, cells, known, last)
-    log_mass = at_least_float32(logits[:, :, :rows, :columns]).log_softmax(1)
-    share = share.to(log_mass.dtype)
-    below, above = (log_mass.gather(1, level.clamp(max=last).long()) for level in (lower, lower + 1))
-    # a level without a share may be impossible: 0 times -inf is 0
-    entropy = -torch.where(share < 1, (1 - share) * below, 0) - torch.where(share > 0, share * above, 0)
-    return mean_over_known(entropy.squeeze(1), known)
+    return cells, valid_pixels(cells, max_disparity=max_disparity), logits[:, :, :rows, :columns]
+
+
+def distribution_of(prediction: Prediction, loss: str) -> Distribution:
+    """What a prediction comes from; raises `ConfigError` where there is none."""
+    if prediction.distribution is None:
+        raise ConfigError(
+            f"the loss {loss!r} is for distributions over disparity, and this network predicts without one; use "
+            "'smooth_l1'"
+        )
+    return prediction.distribution
 
 
 def _split(distribution: Distribution, cells: Tensor, known: Tensor, last: int) -> tuple[Tensor, Tensor]:
@@ -109,9 +126,5 @@ class CrossEntropy:
         Raises:
             ConfigError: the prediction comes from no distribution.
         """
-        if prediction.distribution is None:
-            raise ConfigError(
-                "the loss 'cross_entropy' is for distributions over disparity, and this network predicts without one; "
-                "use 'smooth_l1'"
-            )
-        return masked_cross_entropy(prediction.distribution, truth, max_disparity=max_disparity)
+        distribution = distribution_of(prediction, "cross_entropy")
+        return masked_cross_entropy(distribution, truth, max_disparity=max_disparity)

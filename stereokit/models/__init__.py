@@ -5,11 +5,14 @@ from stereokit.models.coex import coex
 from stereokit.models.crl import CRL
 from stereokit.models.deeppruner import DeepPrunerBest, DeepPrunerFast
 from stereokit.models.dispnetc import DispNetC
+from stereokit.models.fast_acvnet import FastACVNet, FastACVNetPlus
 from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
 from stereokit.models.igev import IGEV, RTIGEV
 from stereokit.models.leastereo import leastereo
 from stereokit.models.lightstereo import lightstereo_l, lightstereo_m, lightstereo_s
+from stereokit.models.mobilestereonet import mobilestereonet_2d, mobilestereonet_3d
+from stereokit.models.pdsnet import pdsnet
 from stereokit.models.psmnet import psmnet
 from stereokit.models.raft_stereo import RAFTStereo, RAFTStereoRealtime
 from stereokit.models.segstereo import ResNetCorr, SegStereo
@@ -22,6 +25,8 @@ __all__ = [
     "DeepPrunerBest",
     "DeepPrunerFast",
     "DispNetC",
+    "FastACVNet",
+    "FastACVNetPlus",
     "RAFTStereo",
     "RAFTStereoRealtime",
     "ResNetCorr",
@@ -36,6 +41,9 @@ __all__ = [
     "lightstereo_l",
     "lightstereo_m",
     "lightstereo_s",
+    "mobilestereonet_2d",
+    "mobilestereonet_3d",
+    "pdsnet",
     "psmnet",
     "stereonet_8x",
     "stereonet_16x",

@@ -11,7 +11,7 @@ from torch import Tensor
 from stereokit.builder import recipe
 from stereokit.weights.key_map import KeyMap, layer, publish
 
-__all__ = ["EXCITED", "MOBILENET", "PAIR", "coex"]
+__all__ = ["DECODER", "EXCITED", "MOBILENET", "PAIR", "STEMS", "SUPERPIXELS", "coex"]
 
 coex = recipe(
     "coex",
@@ -61,6 +61,34 @@ EXCITED = KeyMap([*layer("im_att.0.", "block.network.0."), ("im_att.1.", "block.
 PAIR = KeyMap([*layer("0.", "0."), *layer("1.", "1.")])
 """Two layers in a row."""
 
+STEMS = KeyMap(
+    [
+        *layer("stem_{n}.0.", "stem_{n}.0."),
+        ("stem_{n}.1.", "stem_{n}.1.0."),
+        ("stem_{n}.2.", "stem_{n}.1.1."),
+    ]
+)
+DECODER = KeyMap(
+    [
+        *layer("deconv{n}_{m}.conv1.", "up_{m}.up."),
+        *layer("deconv{n}_{m}.conv2.", "up_{m}.merge."),
+        *layer("conv4.", "merge_4."),
+    ]
+)
+"""What `UNet` has beside its encoder."""
+
+SUPERPIXELS = KeyMap(
+    [
+        *layer("spx_4.0.", "stem.0."),
+        ("spx_4.1.", "stem.1.0."),
+        ("spx_4.2.", "stem.1.1."),
+        *layer("spx_2.conv1.", "up.0."),
+        *layer("spx_2.conv2.", "merge.0."),
+        ("spx.0.", "head."),
+    ]
+)
+"""`SuperpixelUpsampler` at stride 4."""
+
 
 publish(
     "coex",
@@ -72,12 +100,8 @@ publish(
     unused=("cost_agg.conv_skip.0.", "cost_agg.conv_agg.0.", "cost_agg.channelAtt.0.", "cost_agg.conv_up.0.bn."),
     keys=[
         *MOBILENET.under("feature.", "backbone.encoder."),
-        *layer("up.deconv{n}_{m}.conv1.", "backbone.up_{m}.up."),
-        *layer("up.deconv{n}_{m}.conv2.", "backbone.up_{m}.merge."),
-        *layer("up.conv4.", "backbone.merge_4."),
-        *layer("stem_{n}.0.", "backbone.stem_{n}.0."),
-        ("stem_{n}.1.", "backbone.stem_{n}.1.0."),
-        ("stem_{n}.2.", "backbone.stem_{n}.1.1."),
+        *DECODER.under("up.", "backbone."),
+        *STEMS.under("", "backbone."),
         *layer("cost_volume.conv.", "cost.projection.layers.0."),
         ("cost_volume.desc.", "cost.projection.layers.1."),
         *layer("cost_agg.conv_stem.", "aggregation.stem."),
@@ -89,11 +113,6 @@ publish(
         *layer("cost_agg.conv_skip.{n}.", "aggregation.up{n+1}.merge."),
         *PAIR.under("cost_agg.conv_agg.{n}.", "aggregation.up{n+1}.convs."),
         *EXCITED.under("cost_agg.channelAtt.{n}.", "aggregation.up{n+1}.guidance."),
-        *layer("spx_4.0.", "upsampler.stem.0."),
-        ("spx_4.1.", "upsampler.stem.1.0."),
-        ("spx_4.2.", "upsampler.stem.1.1."),
-        *layer("spx_2.conv1.", "upsampler.up.0."),
-        *layer("spx_2.conv2.", "upsampler.merge.0."),
-        ("spx.0.", "upsampler.head."),
+        *SUPERPIXELS.under("", "upsampler."),
     ],
 )

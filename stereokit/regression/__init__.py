@@ -1,11 +1,14 @@
 """Logits to disparity."""
 
 from stereokit.regression.soft_argmin import SoftArgmin, TopKSoftArgmin, soft_argmin, top_k_mass, top_k_soft_argmin
+from stereokit.regression.sub_pixel_map import SubPixelMap, sub_pixel_map
 
 __all__ = [
     "SoftArgmin",
+    "SubPixelMap",
     "TopKSoftArgmin",
     "soft_argmin",
+    "sub_pixel_map",
     "top_k_mass",
     "top_k_soft_argmin",
 ]

@@ -93,3 +93,17 @@ def test_what_it_tells_the_network():
     aggregation = Hourglass(in_channels=5)
     assert (aggregation.in_channels, aggregation.multiple, aggregation.upscale) == (5, 8, 1)
     assert aggregation.loss_weights == (1,)
+
+
+@pytest.mark.parametrize("size", [(1, 1, 1), (5, 7, 9), (4, 16, 24)])
+def test_it_may_have_two_halvings(size):
+    aggregation = Hourglass(in_channels=2, channels=(2, 3, 4), guidance=GCE, guide_channels=GUIDES)
+    assert list(aggregation.guide_channels) == [4, 8, 16]
+    assert aggregation.multiple == aggregation.planes_multiple == 4
+    assert Hourglass(in_channels=2, channels=(2, 3, 4)).eval()(torch.rand(1, 2, *size), {})[0].shape == (1, *size)
+
+
+@pytest.mark.parametrize("channels", [(2, 3), (2, 3, 4, 5, 6)])
+def test_other_numbers_of_scales_are_refused(channels):
+    with pytest.raises(ConfigError, match="two or three scales"):
+        Hourglass(in_channels=2, channels=channels)

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from stereokit import UNet
+from stereokit import ConfigError, UNet
 from tests.backbones.test_encoder import ENCODERS
 
 
@@ -49,3 +49,20 @@ def test_images_of_a_batch_do_not_meet():
     backbone = UNet().eval().double()
     images = torch.rand(2, 3, 64, 96, dtype=torch.float64)
     assert_close(backbone(images).matching[4][1:], backbone(images[1:]).matching[4])
+
+
+def test_a_third_stem_goes_on_to_stride_8():
+    backbone = UNet(stem_channels=(6, 10, 7)).eval()
+    assert backbone.info.matching_channels == {4: 48 + 10, 8: 64 + 7}
+    assert backbone.info.guide_channels[8] == 64 + 7
+    assert backbone.info.finest == 4
+    images = torch.rand(1, 3, 64, 96)
+    features = backbone(images)
+    stem_4 = backbone.stem_4(backbone.stem_2(images))
+    assert_close(features.matching[8][:, 64:], backbone.stem_8(stem_4))
+    assert features.matching[8] is features.guides[8]
+
+
+def test_other_numbers_of_stems_are_refused():
+    with pytest.raises(ConfigError, match="give two"):
+        UNet(stem_channels=(6,))

@@ -34,3 +34,10 @@ def test_norm_statistics_come_from_both_views():
     conv, norm = projection.layers[0][0], projection.layers[0][1]
     projection(left, right)
     assert_close(norm.running_mean, 0.1 * conv(torch.cat((left, right))).mean().reshape(1))
+
+
+def test_the_last_convolution_may_be_larger():
+    projection = Projection(4, {"widths": [6, 5], "last_kernel": 3, "bias": False})
+    assert [tuple(layer.weight.shape) for layer in projection.layers[1:]] == [(5, 6, 3, 3)]
+    left, right = projection(*torch.rand(2, 1, 4, 3, 7))
+    assert left.shape == right.shape == (1, 5, 3, 7)

@@ -41,3 +41,11 @@ def test_gradients_are_right():
     block = InvertedResidual(2, 2, expansion=2).double().eval()
     x = torch.randn(1, 2, 3, 3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(block, (x,))
+
+
+def test_volumes_go_through_the_same_block():
+    block = InvertedResidual(3, 3, dims=3).eval()
+    x = torch.randn(1, 3, 4, 5, 6)
+    assert_close(block(x), x + block.narrow(block.depthwise(block.widen(x))))
+    plain = InvertedResidual(3, 3, dims=3, residual=False).eval()
+    assert_close(plain(x), plain.narrow(plain.depthwise(plain.widen(x))))

@@ -23,7 +23,7 @@ class Tap:
         item: of an output that is a tuple, or the key of one that is a mapping.
         field: of a named tuple.
         left: the left half of a batch of both views.
-        sign: -1 where lower is better there.
+        sign: -1 where lower is better there, or another factor.
     """
 
     module: str
@@ -31,7 +31,7 @@ class Tap:
     item: int | None = None
     field: str | None = None
     left: bool = False
-    sign: int = 1
+    sign: float = 1
 
     def read(self, output: Any) -> Tensor:
         """The recorded part of a module's output."""
@@ -160,6 +160,9 @@ STEREONET = {
     "refined_1": Tap("refinements.0"),
 }
 
+ALL_CANDIDATES = 96
+"""Of Fast-ACVNet: where levels tie for the last place among its candidates, rounding moves all of a random network."""
+
 CASES: dict[str, Case] = {
     "coex": Case(parameters=2_721_993, golden=ELSEWHERE),
     "psmnet": Case(parameters=5_224_768, golden=ELSEWHERE),
@@ -198,6 +201,69 @@ CASES: dict[str, Case] = {
         parameters=763_109,
         golden=Golden("stereonet_16x", norm=(0.5, 0.8), taps=STEREONET),
         loss="robust",
+    ),
+    "pdsnet": Case(
+        parameters=2_217_717,
+        golden=Golden(
+            "pdsnet",
+            norm=(0.8, 1.2),
+            taps={"signatures": Tap("cost", "4/2/2"), "similarity": Tap("aggregation", "4/4", item=-1)},
+        ),
+        loss="laplace_cross_entropy",
+        size=(128, 128),
+    ),
+    "mobilestereonet_2d": Case(
+        parameters=2_352_706,
+        training_only=124_704,
+        golden=Golden(
+            "mobilestereonet2d",
+            norm=(0.6, 0.9),
+            taps={"volume": Tap("cost"), "head3": Tap("aggregation", item=-1)},
+        ),
+        # its heads are as wide as there are planes
+        max_disparity=192,
+        rounding=0.1,
+    ),
+    "mobilestereonet_3d": Case(
+        parameters=1_855_608,
+        training_only=85_728,
+        golden=Golden(
+            "mobilestereonet3d",
+            norm=(0.65, 0.95),
+            taps={"volume": Tap("cost", "6/4/4"), "head3": Tap("aggregation", "2/2/2", item=-1)},
+            logits=1e-3,
+        ),
+        # float32 is that far from float64 with random weights
+        rounding=0.5,
+    ),
+    "fast_acvnet": Case(
+        parameters=3_075_359,
+        golden=Golden(
+            "fast_acvnet",
+            norm=(0.8, 1.2),
+            taps={
+                "volume8": Tap("attention.cost", "2/2/2", sign=1 / 8),
+                "attention": Tap("attention.aggregation.head"),
+                "aggregated": Tap("aggregation", item=-1),
+            },
+            # its features are divided by their norm + 1e-5, ours by 1e-4 at least
+            logits=3e-4,
+        ),
+        max_disparity=ALL_CANDIDATES,
+    ),
+    "fast_acvnet_plus": Case(
+        parameters=3_203_289,
+        golden=Golden(
+            "fast_acvnet_plus",
+            norm=(0.8, 1.2),
+            seed=3,
+            taps={
+                "volume4": Tap("attention.cost", "2/2", sign=1 / 48),
+                "attention": Tap("attention.aggregation", "2/2", item=-1),
+                "aggregated": Tap("aggregation", item=-1),
+            },
+        ),
+        max_disparity=ALL_CANDIDATES,
     ),
     "dispnetc": Case(
         parameters=42_429_110,
