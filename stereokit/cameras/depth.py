@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.calibration.rectified import Calibration, PathLike
+from stereokit.data.disparity_arrays import unknown_to_nan
 from stereokit.data.images import write_samples
+from stereokit.data.pfm import pfm_bytes
 from stereokit.errors import InputError
 from stereokit.files import atomic_path
 
@@ -156,9 +158,7 @@ def write_depth(path: PathLike, depth: npt.ArrayLike, *, overwrite: bool = False
         raise InputError(
             f"{name!r}: expected depth as real numbers of shape (H, W), got {values.dtype} of shape {values.shape}"
         )
-    with np.errstate(over="ignore"):
-        metres: Depth = np.array(values, np.float32, order="C")
-    metres[~np.isfinite(metres)] = np.nan
+    metres: Depth = unknown_to_nan(values)
     if (metres <= 0).any():
         raise InputError(f"{name!r}: depth is positive, and NaN where unknown; got {np.nanmin(metres):g}")
     if suffix == ".png":
@@ -188,8 +188,7 @@ def _write_npz(path: Path, metres: Depth) -> None:
 
 
 def _write_pfm(path: Path, metres: Depth) -> None:
-    height, width = metres.shape
-    path.write_bytes(f"Pf\n{width} {height}\n-1\n".encode() + metres[::-1].astype("<f4").tobytes())
+    path.write_bytes(pfm_bytes(metres))
 
 
 def _write_tiff(path: Path, metres: Depth) -> None:

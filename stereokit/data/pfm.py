@@ -17,7 +17,7 @@ from stereokit.data.disparity_arrays import (
 from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path, read_file_bytes
 
-__all__ = ["read_pfm", "write_pfm"]
+__all__ = ["pfm_bytes", "read_pfm", "write_pfm"]
 
 _BLANK = rb"(?:[ \t\r\n]|#[^\n]*\n)+"
 _HEADER = re.compile(
@@ -79,7 +79,16 @@ def write_pfm(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = Fal
         InputError: `disparity` is not (H, W), or the file can't be written.
     """
     values = to_disparity(path, disparity)
-    height, width = values.shape
-    stored = np.where(np.isnan(values), np.float32(np.inf), values)[::-1].astype("<f4")
+    stored = np.where(np.isnan(values), np.float32(np.inf), values)
     with atomic_path(path, overwrite=overwrite) as temporary:
-        temporary.write_bytes(f"Pf\n{width} {height}\n-1\n".encode() + stored.tobytes())
+        temporary.write_bytes(pfm_bytes(stored))
+
+
+def pfm_bytes(values: npt.NDArray[np.float32]) -> bytes:
+    """The little-endian portable float map of values (H, W), as they are.
+
+    >>> pfm_bytes(np.zeros((1, 2), np.float32))[:10]
+    b'Pf\\n2 1\\n-1\\n'
+    """
+    height, width = values.shape
+    return f"Pf\n{width} {height}\n-1\n".encode() + values[::-1].astype("<f4").tobytes()
