@@ -12,6 +12,7 @@ import numpy.typing as npt
 from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.data.disparity_arrays import unknown_to_nan
 from stereokit.data.images import write_samples
+from stereokit.data.npy import save_arrays
 from stereokit.data.pfm import pfm_bytes
 from stereokit.errors import InputError
 from stereokit.files import atomic_path
@@ -184,7 +185,7 @@ def _write_npy(path: Path, metres: Depth) -> None:
 
 
 def _write_npz(path: Path, metres: Depth) -> None:
-    np.savez_compressed(path, depth=metres)
+    save_arrays(path, depth=metres)
 
 
 def _write_pfm(path: Path, metres: Depth) -> None:

@@ -3,7 +3,7 @@
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +13,13 @@ from stereokit.cameras.cloud import CLOUD_SUFFIXES, Axes, Holes, PointCloud
 from stereokit.cameras.consistency import occluded, right_disparity
 from stereokit.cameras.depth import DEPTH_SUFFIXES, Depth, depth_from_disparity, fill_background, write_depth
 from stereokit.data.inputs import ImageLike
-from stereokit.data.pairs import ImagePair
 from stereokit.errors import ConfigError
 from stereokit.inference import DisparityResult, Predictor
 
 __all__ = ["DepthFiles", "add_depth_options"]
+
+_Computed: TypeAlias = "tuple[Calibration, npt.NDArray[Any] | None, npt.NDArray[np.bool_] | None] | None"
+"""The calibration, the left view and the pixels that the right one sees; None where no file is wanted."""
 
 OF_CLOUDS = ("axes", "edge_filter")
 OF_BOTH = ("min_confidence", "max_depth", "holes", "left_right")
@@ -100,28 +102,46 @@ class DepthFiles:
             raise ConfigError("metres need the cameras' calibration: give --calibration FILE, or --rig FILE")
         return cls(options, read_calibration(options.calibration) if wanted else None)
 
-    def paths(self, name: str) -> list[Path]:
-        """The files of a pair."""
-        kinds = (("depth", self.options.depth), ("cloud", self.options.cloud))
-        return [Path(self.options.out) / f"{name}_{kind}.{suffix}" for kind, suffix in kinds if suffix is not None]
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The options that were given, and the calibration."""
+        given = {name: getattr(self.options, name) for name in ("depth", "cloud", *OF_BOTH, *OF_CLOUDS)}
+        settings = {name: value for name, value in given.items() if value is not None}
+        return settings if self.calibration is None else {"calibration": self.calibration.to_dict(), **settings}
 
-    def write(self, result: DisparityResult, pair: ImagePair, predictor: Predictor) -> list[str]:
+    def names(self, pair: str) -> list[str]:
+        """Of the files of a pair."""
+        kinds = (("depth", self.options.depth), ("cloud", self.options.cloud))
+        return [f"{pair}_{kind}.{suffix}" for kind, suffix in kinds if suffix is not None]
+
+    def compute(self, predictor: Predictor, left: ImageLike, right: ImageLike, result: DisparityResult) -> _Computed:
+        """What the files need of the predictor.
+
+        Raises:
+            InputError: a calibration of another size.
+        """
+        if not self.names(""):
+            return None
+        return (self.calibration_of(result, predictor), *self.views(result, left, right, predictor))
+
+    def write(self, folder: Path, pair: str, result: DisparityResult, computed: _Computed) -> list[str]:
         """Writes the files; gives lines that say so.
 
         Raises:
-            InputError: a calibration of another size, or files that can't be written.
+            InputError: files that can't be written.
         """
-        paths = self.paths(pair.name)
-        if not paths:
+        if computed is None:
             return []
-        calibration = self.calibration_of(result, predictor)
-        left, valid = self.views(result, pair.left, pair.right, predictor)
+        calibration, left, valid = computed
         lines = []
-        for path in paths:
-            if path.stem.endswith("_cloud"):
-                lines.append(self._write_cloud(path, calibration, result, left, valid))
+        for name in self.names(pair):
+            # where it will be, which may be written elsewhere first
+            place = Path(self.options.out) / name
+            if place.stem.endswith("_cloud"):
+                lines.append(f"{self._write_cloud(folder / name, calibration, result, left, valid)}; wrote {place}")
             else:
-                lines.append(self._write_depth(path, calibration, result, valid))
+                said, lost = self._write_depth(folder / name, calibration, result, valid)
+                lines.append(f"{said}; wrote {place}{lost}")
         return lines
 
     def calibration_of(self, result: DisparityResult, predictor: Predictor) -> Calibration:
@@ -187,7 +207,7 @@ class DepthFiles:
 
     def _write_depth(
         self, path: Path, calibration: Calibration, result: DisparityResult, valid: npt.NDArray[np.bool_] | None
-    ) -> str:
+    ) -> tuple[str, str]:
         depth = self.depth(calibration, result, valid)
         beyond = write_depth(path, depth, overwrite=self.options.overwrite)
         known = depth[np.isfinite(depth)]
@@ -195,7 +215,7 @@ class DepthFiles:
             f"{known.min():.2f} to {known.max():.2f} m, median {np.median(known):.2f} m" if known.size else "nothing"
         )
         lost = f"; {beyond} pixels beyond 65.535 m are 0 in it" if beyond else ""
-        return f"depth of {100 * known.size / depth.size:.0f} % of the pixels: {reach}; wrote {path}{lost}"
+        return f"depth of {100 * known.size / depth.size:.0f} % of the pixels: {reach}", lost
 
     def _write_cloud(
         self,
@@ -207,7 +227,7 @@ class DepthFiles:
     ) -> str:
         cloud = self.cloud(calibration, result, left, valid)
         cloud.write(path, overwrite=self.options.overwrite)
-        return f"{len(cloud):,} points; wrote {path}"
+        return f"{len(cloud):,} points"
 
 
 def _match(predictor: Predictor) -> Any:

@@ -143,7 +143,7 @@ def _match(predictor: Predictor, video: StereoVideo, files: "VideoFiles", option
     total = options.frames if video.live else min(filter(None, (video.length, options.frames)), default=None)
     with tqdm(total=total, unit="frame", file=sys.stderr) as bar:
         for frame, result in islice(match_video(predictor, video), options.frames):
-            if not frame.index and (warning := noise_warning(video.name, result)) is not None:
+            if not frame.index and (warning := noise_warning(video.name, result.mean_confidence)) is not None:
                 tqdm.write(warning, file=sys.stderr)
             with finished_before_interrupt():
                 files.add(frame, result, predictor)

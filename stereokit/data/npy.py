@@ -120,8 +120,25 @@ def write_npz(path: PathLike, disparity: npt.ArrayLike, *, overwrite: bool = Fal
         InputError: `disparity` is not (H, W), or the file can't be written.
     """
     values = to_disparity(path, disparity)
-    with atomic_path(path, overwrite=overwrite) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, disparity=values)
+    with atomic_path(path, overwrite=overwrite) as temporary:
+        save_arrays(temporary, disparity=values)
+
+
+def save_arrays(path: PathLike, **arrays: npt.NDArray[Any]) -> None:
+    """What `numpy.savez_compressed` does, at the fastest level of compression.
+
+    Floating-point maps gain less than a hundredth from the usual one, which takes twice the time.
+
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "maps.npz"
+    >>> save_arrays(path, confidence=np.ones((2, 3)))
+    >>> np.load(path)["confidence"].shape
+    (2, 3)
+    """
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, array, allow_pickle=False)
 
 
 def _read_stream(path: PathLike, file: IO[bytes]) -> Disparity:

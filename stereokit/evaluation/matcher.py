@@ -7,12 +7,11 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy.typing as npt
 import torch
 
-from stereokit.backends.eager import TorchBackend
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.inputs import to_pair
 from stereokit.inference import Predictor
 from stereokit.runtime.memory import running_out_as
-from stereokit.runtime.provenance import file_sha256, state_sha256
+from stereokit.runtime.provenance import file_sha256
 from stereokit.weights.opening import NetworkPlace, find_network
 
 __all__ = ["BatchMatcher", "Image", "Matcher", "NetworkMatcher", "describe_matcher"]
@@ -86,18 +85,7 @@ class NetworkMatcher:
 
     def describe(self) -> dict[str, Any]:
         """The network's configuration and weights, and what ran it, in plain JSON."""
-        backend = self.predictor.backend
-        parts: dict[str, Any] = {
-            "matcher": "network",
-            "device": str(backend.device),
-            "backend": backend.name,
-            "precision": backend.precision,
-            **backend.describe(),
-        }
-        if not self.predictor.whole:
-            parts["limits"] = {"scale": self.predictor.scale, **self.predictor.limits}
-        if isinstance(backend, TorchBackend):
-            parts["weights_sha256"] = state_sha256(backend.network.state_dict())
+        parts: dict[str, Any] = {"matcher": "network", **self.predictor.describe()}
         if self.weights is not None:
             place = find_network(self.weights)
             parts["weights"] = place.name

@@ -1,5 +1,6 @@
 """A network made ready to be used on single pairs."""
 
+import hashlib
 import os
 import time
 from functools import partial
@@ -25,6 +26,7 @@ from stereokit.inference.scaling import MAX_SCALE, match_scaled, scale_images, s
 from stereokit.network import check_least_size
 from stereokit.runtime.device import choose_device
 from stereokit.runtime.memory import MemorySize
+from stereokit.runtime.provenance import state_sha256
 from stereokit.weights.opening import find_network, open_network
 
 __all__ = ["Predictor"]
@@ -123,6 +125,26 @@ class Predictor:
         if not isinstance(self.backend, TorchBackend):
             raise ConfigError(f"backend {self.backend.name!r} runs an exported file, which holds no torch module")
         return self.backend.network
+
+    def describe(self) -> dict[str, Any]:
+        """The network's configuration and the hash of its weights, and what runs it and how, in plain JSON."""
+        parts: dict[str, Any] = {
+            "device": str(self.device),
+            "backend": self.backend.name,
+            "precision": self.backend.precision,
+            **self.backend.describe(),
+        }
+        if not self.whole:
+            parts["limits"] = {"scale": self.scale, **self.limits}
+        if self.rectification is not None:
+            digest = hashlib.sha256()
+            for view in (self.rectification.left_map, self.rectification.right_map):
+                for axis in view:
+                    digest.update(np.ascontiguousarray(axis).tobytes())
+            parts["rectification_sha256"] = digest.hexdigest()
+        if isinstance(self.backend, TorchBackend):
+            parts["weights_sha256"] = state_sha256(self.backend.network.state_dict())
+        return parts
 
     def __call__(self, left: ImageLike, right: ImageLike) -> DisparityResult:
         """Matches one pair, rectified or, with a rig, as its cameras took it.

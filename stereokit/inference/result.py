@@ -14,7 +14,7 @@ from stereokit.cameras.depth import Depth, depth_from_disparity
 from stereokit.data.disparity_files import read_disparity, write_disparity
 from stereokit.data.disparity_png import fits_kitti_png
 from stereokit.data.images import write_image
-from stereokit.data.npy import npz_holds, read_npz
+from stereokit.data.npy import npz_holds, read_npz, save_arrays
 from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path, check_free, make_folder
 from stereokit.pictures import picture_with_scale
@@ -53,6 +53,18 @@ class DisparityResult:
     def invalid(self) -> int:
         """How many pixels have no finite disparity; networks in order give 0."""
         return int(np.count_nonzero(~np.isfinite(self.disparity)))
+
+    @property
+    def known_range(self) -> tuple[float, float] | None:
+        """The smallest and the largest finite disparity; None where none is."""
+        known = self.disparity[np.isfinite(self.disparity)]
+        return (float(known.min()), float(known.max())) if known.size else None
+
+    @property
+    def mean_confidence(self) -> float | None:
+        """Of the pixels whose disparity is finite; None without any, or without a confidence."""
+        known = np.isfinite(self.disparity)
+        return None if self.confidence is None or not known.any() else float(self.confidence[known].mean())
 
     def trusted(
         self, *, min_confidence: float | None = None, valid: npt.NDArray[np.bool_] | None = None
@@ -167,8 +179,8 @@ class DisparityResult:
         arrays: dict[str, Any] = {"disparity": self.disparity}
         if self.confidence is not None:
             arrays["confidence"] = self.confidence
-        with atomic_path(path, overwrite=overwrite) as temporary, open(temporary, "wb") as file:
-            np.savez_compressed(file, **arrays)
+        with atomic_path(path, overwrite=overwrite) as temporary:
+            save_arrays(temporary, **arrays)
 
     def save_all(self, folder: str | os.PathLike[str], name: str, *, overwrite: bool = False) -> list[Path]:
         """Writes the disparity in every format, and its picture, beside each other.

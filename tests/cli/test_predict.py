@@ -33,7 +33,7 @@ def test_predict_takes_folders_and_patterns(
         capsys, "predict", images / left, images / right, "--weights", weights, "--out", images / "out"
     )
     assert code == 0
-    assert len(list((images / "out").iterdir())) == 8
+    assert len(list((images / "out").iterdir())) == 8 + 1
     assert "a: 50 x 40" in said
     assert "b: 50 x 40" in said
     assert "2/2" in shown
@@ -47,7 +47,7 @@ def test_predict_goes_on_after_a_broken_pair(capsys: pytest.CaptureFixture[str],
     assert code == 2
     assert "b: 50 x 40" in said
     assert "1 of 2 pairs could not be matched: a" in err
-    assert len(list((images / "out").iterdir())) == 4
+    assert len(list((images / "out").iterdir())) == 4 + 1
 
 
 def test_predict_says_which_networks_have_weights(capsys: pytest.CaptureFixture[str], images: Path) -> None:
@@ -149,11 +149,40 @@ def test_the_folder_for_results_is_looked_at_before_the_network_is_loaded(
     assert f"'{images}' may not be written to" in fails(capsys, "predict", *pair, *absent, "--out", images / "out")
 
 
-def test_a_failing_pair_leaves_no_folder(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+def test_failing_pairs_leave_no_files_but_the_manifest(
+    capsys: pytest.CaptureFixture[str], images: Path, weights: str
+) -> None:
     for side in ("left", "right"):
         for name in ("a", "b"):
             (images / side / f"{name}.png").write_text("broken")
-    for chosen in ("", "a.png"):
-        arguments = (images / "left" / chosen, images / "right" / chosen, "--weights", weights)
-        assert run(capsys, "predict", *arguments, "--out", images / "out")[0] == 2
+    more = ("--weights", weights, "--out", images / "out")
+    assert run(capsys, "predict", images / "left/a.png", images / "right/a.png", *more)[0] == 2
     assert not (images / "out").exists()
+    assert run(capsys, "predict", images / "left", images / "right", *more)[0] == 2
+    assert [path.name for path in (images / "out").iterdir()] == ["manifest.jsonl"]
+
+
+def test_a_second_run_says_what_is_done(capsys: pytest.CaptureFixture[str], images: Path, weights: str) -> None:
+    given = ("predict", images / "left", images / "right", "--weights", weights, "--out", images / "out")
+    assert "2 pairs matched in" in run(capsys, *given, "--workers", "0")[1]
+    (images / "out/b_picture.png").write_text("damaged")
+    _, said, _ = run(capsys, *given)
+    assert "b: matched again: b_picture.png is missing or damaged" in said
+    assert "a: " not in said
+    assert said.splitlines()[-1].startswith("1 pair matched in")
+    assert said.splitlines()[-1].endswith(f", 1 pair done before; {images / 'out/manifest.jsonl'} tells of each")
+    said = fails(capsys, *given, "--scale", "1.5")
+    assert "2 results in" in said
+    assert "made with other settings" in said
+    code, _, err = run(capsys, *given, "--scale", "1.5", "--overwrite")
+    assert code == 0
+    assert "2/2" in err
+
+
+def test_options_for_many_pairs_are_refused_for_one(
+    capsys: pytest.CaptureFixture[str], images: Path, weights: str
+) -> None:
+    pair = images / "left/a.png", images / "right/a.png"
+    for option in ("--workers", "--processes"):
+        said = fails(capsys, "predict", *pair, "--weights", weights, option, "2")
+        assert f"{option} has no effect on one pair of files" in said
