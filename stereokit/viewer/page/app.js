@@ -465,7 +465,10 @@ class App {
     this.drawing = requestAnimationFrame(() => {
       this.drawing = null;
       this.right.lines = this.left.lines = $("lines").checked;
-      for (const picture of [this.left, this.right, this.mapped]) picture.draw();
+      for (const picture of [this.left, this.right, this.mapped]) {
+        picture.quick = this.playing;
+        picture.draw();
+      }
       const color = getComputedStyle($("cloud")).backgroundColor.match(/[\d.]+/g).slice(0, 3).map(v => v / 255);
       this.cloud.draw(color, this.playing || performance.now() < this.movingUntil);
       if (this.frame) this.describeMeasured();

@@ -38,22 +38,28 @@ class Geometry {
 /** Pixels on a ramp: disparity rises, or falls, by more than a pixel both to them and from them. */
 function flyingPixels(disparity, width, height) {
   const result = new Uint8Array(disparity.length);
-  const ramp = (i, step) => {
-    const before = disparity[i] - disparity[i - step], after = disparity[i + step] - disparity[i];
-    return (before > 1 && after > 1) || (before < -1 && after < -1);
-  };
   for (let y = 0, i = 0; y < height; y++)
-    for (let x = 0; x < width; x++, i++)
-      if ((x > 0 && x < width - 1 && ramp(i, 1)) || (y > 0 && y < height - 1 && ramp(i, width))) result[i] = 1;
+    for (let x = 0; x < width; x++, i++) {
+      const d = disparity[i];
+      if (x > 0 && x < width - 1) {
+        const before = d - disparity[i - 1], after = disparity[i + 1] - d;
+        if ((before > 1 && after > 1) || (before < -1 && after < -1)) result[i] = 1;
+      }
+      if (y > 0 && y < height - 1) {
+        const before = d - disparity[i - width], after = disparity[i + width] - d;
+        if ((before > 1 && after > 1) || (before < -1 && after < -1)) result[i] = 1;
+      }
+    }
   return result;
 }
 
 /** The 1st, 50th and 99th percentile of the finite values, of some thousands of them. */
 function spread(values) {
-  const some = [], step = Math.max(1, Math.floor(values.length / 20011));
-  for (let i = 0; i < values.length; i += step) if (Number.isFinite(values[i])) some.push(values[i]);
-  if (!some.length) return [0, 0.5, 1];
-  some.sort((a, b) => a - b);
+  const step = Math.max(1, Math.floor(values.length / 20011)), all = new Float32Array(Math.ceil(values.length / step));
+  let count = 0;
+  for (let i = 0; i < values.length; i += step) if (Number.isFinite(values[i])) all[count++] = values[i];
+  if (!count) return [0, 0.5, 1];
+  const some = all.subarray(0, count).sort();
   const at = share => some[Math.round(share * (some.length - 1))];
   return [at(0.01), at(0.5), at(0.99)];
 }

@@ -117,7 +117,8 @@ class Picture {
     if (!this.image) return;
     const [width, height] = this.size, {scale, left, top} = this.window.fit(canvas, width, height), dots = devicePixelRatio || 1;
     context.imageSmoothingEnabled = scale < 2;
-    context.imageSmoothingQuality = "high";
+    // of the finer kinds a picture takes tens of milliseconds, without a graphics card
+    context.imageSmoothingQuality = this.quick ? "low" : "high";
     context.drawImage(this.image, left, top, width * scale, height * scale);
     if (this.over) {
       const from = left + (this.wipe ?? 0) * width * scale;
