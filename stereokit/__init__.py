@@ -9,11 +9,13 @@ from stereokit.aggregation import (
     InvertedResidualHourglass,
     LevelPathAggregation,
     PlainAggregation,
+    RepeatedHourglass,
     SeparableHourglass,
     ShortcutHourglass,
     StackedHourglass,
 )
 from stereokit.backbones import (
+    DoubleHourglass,
     Embedding,
     FeaturePyramid,
     GwcTrunk,
@@ -38,7 +40,7 @@ from stereokit.costs import (
     MatchingNetwork,
 )
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
-from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregation
+from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregation, SemiGlobalGuidance
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
@@ -49,6 +51,8 @@ from stereokit.models import (
     casstereo_gwc,
     casstereo_psm,
     coex,
+    ganet_11,
+    ganet_deep,
     gcnet,
     gwcnet_g,
     gwcnet_gc,
@@ -80,7 +84,7 @@ from stereokit.registry import (
     list_components,
     list_models,
 )
-from stereokit.regression import SoftArgmin, SubPixelMap, TopKSoftArgmin
+from stereokit.regression import LocalGuidedSoftArgmin, SoftArgmin, SubPixelMap, TopKSoftArgmin
 from stereokit.upsampling import ImageSuperpixelUpsampler, SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
 from stereokit.weights.opening import ExportedFile, open_network
@@ -111,6 +115,7 @@ __all__ = [
     "DispNetC",
     "DisparityRange",
     "DisparityResult",
+    "DoubleHourglass",
     "EdgeAwareRefinement",
     "Embedding",
     "EncoderDecoder",
@@ -128,13 +133,16 @@ __all__ = [
     "InvertedResidualHourglass",
     "LevelPathAggregation",
     "LevelPathBackbone",
+    "LocalGuidedSoftArgmin",
     "MatchingNetwork",
     "MostProbable",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
     "PlainAggregation",
     "Predictor",
+    "RepeatedHourglass",
     "ResidualTower",
+    "SemiGlobalGuidance",
     "SeparableHourglass",
     "SeparableTrunk",
     "ShortcutHourglass",
@@ -157,6 +165,8 @@ __all__ = [
     "casstereo_gwc",
     "casstereo_psm",
     "coex",
+    "ganet_11",
+    "ganet_deep",
     "gcnet",
     "gwcnet_g",
     "gwcnet_gc",

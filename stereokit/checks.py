@@ -15,7 +15,7 @@ from stereokit.contracts import (
     Upsampler,
 )
 from stereokit.errors import ConfigError
-from stereokit.stage import StageBlocks, guides_read, planes_scale, planes_upscale
+from stereokit.stage import StageBlocks, guides_read, levels_of, planes_upscale, regression_guides
 
 __all__ = ["Rule", "check_interface", "check_max_disparity", "check_network", "check_rules", "input_multiple"]
 
@@ -144,13 +144,13 @@ def _check_stage(backbone: Backbone, stage: StageBlocks, refinements: Sequence[R
             Rule(names["cost"], cost.out_channels, names["aggregation"], aggregation.in_channels, "volume channels:"),
             *_guide_rules(backbone, names["aggregation"], aggregation.guide_channels),
             *_guide_rules(backbone, names["upsampler"], upsampler.guide_channels),
+            *_guide_rules(backbone, names["regression"], regression_guides(stage.regression)),
         ]
     )
     # with refinements, which can enlarge, the upsampler may end anywhere before them
     if not refinements or out_stride % upsampler.scale:
         check_rules([Rule(names["aggregation"], out_stride, names["upsampler"], upsampler.scale, "logits at stride:")])
-    levels = cost.planes * planes_upscale(aggregation)
-    levels *= planes_scale(upsampler) if upsampler.domain == "volume" else 1
+    levels = levels_of(upsampler, cost.planes * planes_upscale(aggregation))
     if stage.regression.min_levels > levels:
         raise ConfigError(
             f"{names['regression']} needs {stage.regression.min_levels} levels (its k), but {names['aggregation']} "

@@ -114,7 +114,6 @@ def _build_stage(
     candidates = slots["candidates"].build(max_disparity=max_disparity, stride=stride)
     cost = slots["cost"].build(in_channels=info.matching_channels[stride], planes=candidates.planes)
     aggregation, guidance = _build_aggregation(slots["aggregation"], settings, default, presets, cost, info)
-    regression = slots["regression"].build()
     given = stride // aggregation.upscale
     if given % ends_at:
         raise ConfigError(
@@ -124,6 +123,10 @@ def _build_stage(
     upsampler = slots["upsampler"].build(
         scale=given // ends_at,
         stride=given,
+        guide_channels={1: 3, **info.guide_channels},
+    )
+    regression = slots["regression"].build(
+        stride=given // upsampler.scale if upsampler.domain == "volume" else given,
         guide_channels={1: 3, **info.guide_channels},
     )
     blocks = {

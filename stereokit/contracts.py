@@ -33,6 +33,7 @@ __all__ = [
     "GuidanceFactory",
     "GuidancePlacement",
     "Guides",
+    "PairedBackbone",
     "Prediction",
     "Refinement",
     "Regression",
@@ -195,6 +196,18 @@ class Backbone(Protocol):
         """(B, 3, H, W) normalised images to features."""
 
 
+class PairedBackbone(Protocol):
+    """A backbone that does not treat both views alike, or makes guides of the left one alone."""
+
+    info: FeatureInfo
+    multiple: int
+    paired: Literal[True]
+    """By this it is known."""
+
+    def __call__(self, left: Tensor, right: Tensor) -> tuple[Features, Features]:
+        """Two (B, 3, H, W) normalised images to the features of each, the right ones without guides."""
+
+
 class Sampler(Protocol):
     """Chooses the candidates of a stage."""
 
@@ -258,6 +271,9 @@ class Regression(Protocol):
         """(B, D, h, w) logits, larger is better, to (B, h, w), the expected candidate (0, 1, ..., D - 1 by default).
 
         `candidates` are (D,), or broadcastable to the logits.
+
+        One that has `guide_channels`, as aggregations do, takes `guides=...` besides, the guides by stride; heads that
+        are for training alone are regressed without.
         """
 
     def with_confidence(self, logits: Tensor, candidates: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -278,7 +294,8 @@ class Upsampler(Protocol):
     def __call__(self, x: Tensor, guides: Guides) -> Tensor:
         """Logits (B, D, h, w) to (B, D * scale, H, W), or disparity (B, h, w) to (B, H, W), its values unchanged.
 
-        One of domain "volume" may have an attribute `planes_scale`, by which the planes grow in place of `scale`.
+        One of domain "volume" may have an attribute `planes_scale`, by which the planes grow in place of `scale`; and a
+        true `include_end`, where (D - 1) * planes_scale + 1 planes come of D.
         """
 
 

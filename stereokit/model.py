@@ -1,6 +1,7 @@
 """Networks made of slots: one choice for each of them."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +15,7 @@ from stereokit.contracts import (
     Backbone,
     Cost,
     Features,
+    PairedBackbone,
     Prediction,
     Refinement,
     Regression,
@@ -110,14 +112,21 @@ class StereoModel(StereoNetwork):
 
     def _features(self, left: Tensor, right: Tensor) -> tuple[Features, Features]:
         """Features of both views, the guides of the left one alone; what is missing is averaged, or the image."""
-        features = self.backbone(torch.cat((left, right)))
-        pairs = {stride: matching.chunk(2) for stride, matching in features.matching.items()}
-        guides = {stride: guide.chunk(2)[0] for stride, guide in features.guides.items()}
+        of_left, of_right = self._of_both(left, right)
+        guides = dict(of_left.guides)
         coarsest = self.backbone.info.coarsest_guide
         for stride in guides_read((*self.coarse, self), self.refinements):  # type: ignore[arg-type]
             if stride == 1 and stride not in guides:
                 guides[stride] = left
             elif stride not in guides:
                 guides[stride] = F.avg_pool2d(guides[coarsest], stride // coarsest)
+        return of_left._replace(guides=guides), of_right
+
+    def _of_both(self, left: Tensor, right: Tensor) -> tuple[Features, Features]:
+        """What the backbone gives of each view; of the right one no guides."""
+        if getattr(self.backbone, "paired", False):
+            return cast(PairedBackbone, self.backbone)(left, right)
+        matching, guides = self.backbone(torch.cat((left, right)))
+        pairs = {stride: maps.chunk(2) for stride, maps in matching.items()}
         of_left, of_right = ({stride: pair[i] for stride, pair in pairs.items()} for i in (0, 1))
-        return Features(of_left, guides), Features(of_right, {})
+        return Features(of_left, {stride: maps.chunk(2)[0] for stride, maps in guides.items()}), Features(of_right, {})

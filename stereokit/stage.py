@@ -1,6 +1,6 @@
 """One stage of a network: candidates to predictions, once."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from torch import Tensor, nn
@@ -25,8 +25,10 @@ __all__ = [
     "StageBlocks",
     "StageOutput",
     "guides_read",
+    "levels_of",
     "planes_scale",
     "planes_upscale",
+    "regression_guides",
     "resample",
     "run_stage",
     "stage_loss_weights",
@@ -121,14 +123,14 @@ def run_stage(
     heads = [_distribution(head, blocks, stride, planes) for head in (given if training else given[-1:])]
     if not training:
         best = heads[-1]
-        disparity, certainty = _regress(best, blocks, guides, candidates, with_confidence=confidence)
+        disparity, certainty = _regress(best, blocks, guides, candidates, best=True, with_confidence=confidence)
         if certainty is not None:
             ends_at = best.stride // (upsampler.scale if upsampler.domain == "volume" else 1)
             certainty = bilinear_upsample(certainty, ends_at)
         return StageOutput((_upsampled(disparity, best, blocks, guides),), certainty)
     predictions = []
     for number, head in enumerate(heads, start=1):
-        coarse, _ = _regress(head, blocks, guides, candidates)
+        coarse, _ = _regress(head, blocks, guides, candidates, best=number == len(heads))
         if upsampler.learned and upsampler.domain == "disparity" and number == len(heads):
             predictions.append(Prediction(coarse, head.stride, head))
         predictions.append(_upsampled(coarse, head, blocks, guides))
@@ -138,7 +140,14 @@ def run_stage(
 def guides_read(stages: Sequence[StageBlocks], refinements: Sequence[Refinement]) -> list[int]:
     """The strides of all guides that a network reads."""
     blocks = [block for stage in stages for block in (stage.aggregation, stage.upsampler)]
-    return [stride for block in (*blocks, *refinements) for stride in block.guide_channels]
+    read = [stride for block in (*blocks, *refinements) for stride in block.guide_channels]
+    return [*read, *(stride for stage in stages for stride in regression_guides(stage.regression))]
+
+
+def regression_guides(regression: Regression) -> Mapping[int, int]:
+    """The guides that a regression reads: channels by stride."""
+    guides: Mapping[int, int] = getattr(regression, "guide_channels", {})
+    return guides
 
 
 def stage_loss_weights(blocks: StageBlocks) -> tuple[float, ...]:
@@ -175,9 +184,9 @@ def _distribution(head: Tensor | Distribution, blocks: StageBlocks, stride: int,
         return head if values is None else head._replace(values=values)
     spacing = blocks.candidates.spacing / planes_upscale(blocks.aggregation)
     # a plane that is going to be divided is the middle of the fine ones, the first of which is 0
-    parts = planes_scale(blocks.upsampler) if blocks.upsampler.domain == "volume" else 1
-    first = (parts - 1) / 2 * spacing / parts
-    return Distribution(head, stride // blocks.aggregation.upscale, spacing, first, values=values)
+    fine = spacing / (planes_scale(blocks.upsampler) if blocks.upsampler.domain == "volume" else 1)
+    parts = levels_of(blocks.upsampler, head.shape[1]) / head.shape[1]
+    return Distribution(head, stride // blocks.aggregation.upscale, fine * parts, (parts - 1) / 2 * fine, values=values)
 
 
 def planes_upscale(aggregation: Aggregation) -> int:
@@ -190,12 +199,21 @@ def planes_scale(upsampler: Upsampler) -> int:
     return int(getattr(upsampler, "planes_scale", upsampler.scale))
 
 
+def levels_of(upsampler: Upsampler, planes: int) -> int:
+    """How many levels the regression sees of so many planes."""
+    if upsampler.domain == "disparity":
+        return planes
+    scale = planes_scale(upsampler)
+    return (planes - 1) * scale + 1 if getattr(upsampler, "include_end", False) else planes * scale
+
+
 def _regress(
     head: Distribution,
     blocks: StageBlocks,
     guides: Guides,
     candidates: Tensor | None,
     *,
+    best: bool,
     with_confidence: bool = False,
 ) -> tuple[Tensor, Tensor | None]:
     """The disparity of a head in px, at the resolution of its logits or, if these are upsampled, of those.
@@ -210,10 +228,12 @@ def _regress(
     values = head.values if candidates is None else candidates
     if values is not None:
         values = resample(values, tuple(logits.shape[1:]), batch=len(logits))
+    # the heads for training alone are regressed without guides
+    given = {"guides": guides} if best and regression_guides(blocks.regression) else {}
     if with_confidence:
-        disparity, confidence = blocks.regression.with_confidence(logits, values)
+        disparity, confidence = blocks.regression.with_confidence(logits, values, **given)
     else:
-        disparity, confidence = blocks.regression(logits, values), None
+        disparity, confidence = blocks.regression(logits, values, **given), None
     return (disparity * spacing if values is None else disparity), confidence
 
 

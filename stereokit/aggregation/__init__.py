@@ -8,6 +8,7 @@ from stereokit.aggregation.hourglass import Hourglass
 from stereokit.aggregation.inverted_residual import InvertedResidualHourglass
 from stereokit.aggregation.level_path import LevelPathAggregation
 from stereokit.aggregation.plain import PlainAggregation
+from stereokit.aggregation.repeated_hourglass import RepeatedHourglass
 from stereokit.aggregation.separable_hourglass import SeparableHourglass
 from stereokit.aggregation.shortcut_hourglass import ShortcutHourglass
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
@@ -21,6 +22,7 @@ __all__ = [
     "InvertedResidualHourglass",
     "LevelPathAggregation",
     "PlainAggregation",
+    "RepeatedHourglass",
     "SeparableHourglass",
     "ShortcutHourglass",
     "StackedHourglass",

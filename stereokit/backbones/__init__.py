@@ -1,5 +1,6 @@
 """Images to matching features and guides."""
 
+from stereokit.backbones.double_hourglass import DoubleHourglass
 from stereokit.backbones.embedding import Embedding
 from stereokit.backbones.encoder import MobileNetV2Encoder, TimmEncoder
 from stereokit.backbones.feature_pyramid import FeaturePyramid
@@ -13,6 +14,7 @@ from stereokit.backbones.top_down_pyramid import TopDownPyramid
 from stereokit.backbones.unet import UNet
 
 __all__ = [
+    "DoubleHourglass",
     "Embedding",
     "FeaturePyramid",
     "GwcTrunk",

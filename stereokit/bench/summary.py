@@ -63,10 +63,16 @@ def model_summary(model: StereoNetwork, height: int = 384, width: int = 1248) ->
             name=name,
             kind=type(block).__name__,
             parameters=sum(p.numel() for p in block.parameters()),
-            multiply_adds=flops.get(f"{type(model).__name__}.{slot}", 0) // 2,
+            multiply_adds=_of_block(flops, f"{type(model).__name__}.{slot}") // 2,
         )
         for slot, name, block in _blocks(model, config)
     ]
+
+
+def _of_block(flops: Mapping[str, int], path: str) -> int:
+    """Of a block, or of its parts where it is used by another method than its forward."""
+    parts = (count for name, count in flops.items() if name.rpartition(".")[0] == path)
+    return flops[path] if path in flops else sum(parts)
 
 
 def _blocks(model: StereoNetwork, config: NetworkConfig) -> Iterator[tuple[str, str, nn.Module]]:

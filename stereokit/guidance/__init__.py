@@ -4,6 +4,7 @@ from stereokit.guidance.excitation import GCE, AdditiveGuidance, excite
 from stereokit.guidance.multi_scale_attention import MSCA
 from stereokit.guidance.neighborhood import NeighborhoodAggregation, neighborhood_sum
 from stereokit.guidance.point import GuidancePlan, GuidancePoint, NoGuidance
+from stereokit.guidance.semi_global import SemiGlobalGuidance, semi_global_aggregate
 
 __all__ = [
     "GCE",
@@ -13,6 +14,8 @@ __all__ = [
     "GuidancePoint",
     "NeighborhoodAggregation",
     "NoGuidance",
+    "SemiGlobalGuidance",
     "excite",
     "neighborhood_sum",
+    "semi_global_aggregate",
 ]

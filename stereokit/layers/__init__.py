@@ -17,6 +17,7 @@ from stereokit.layers.image_stem import image_stem
 from stereokit.layers.interpolation import bilinear_upsample
 from stereokit.layers.inverted_residual import InvertedResidual
 from stereokit.layers.pooling import cell_means, tent_means
+from stereokit.layers.resample_step import ResampleStep
 from stereokit.layers.residual import ResidualBlock, SeparableBlock, residual_layer
 from stereokit.layers.searched_cell import CellNodes, LevelPath, SearchedCell, level_size, resize
 from stereokit.layers.up_step import UpStep
@@ -31,6 +32,7 @@ __all__ = [
     "InvertedResidual",
     "LevelPath",
     "Norm",
+    "ResampleStep",
     "ResidualBlock",
     "SearchedCell",
     "SeparableBlock",

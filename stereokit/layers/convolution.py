@@ -1,7 +1,7 @@
 """Convolution, norm and activation, once for every block."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Literal
 
@@ -80,7 +80,7 @@ class ConvNormAct(nn.Sequential):
     Args:
         in_channels: of the input.
         out_channels: of the output.
-        kernel_size: odd for "same" padding at stride 1.
+        kernel_size: odd for "same" padding at stride 1; one for all dimensions, or one for each.
         dims: 2 for maps (B, C, H, W), 3 for volumes (B, C, D, H, W).
         stride: halves every dimension where it is 2; or one for each dimension.
         dilation: padding grows with it, so that the size stays.
@@ -104,7 +104,7 @@ class ConvNormAct(nn.Sequential):
         self,
         in_channels: int,
         out_channels: int,
-        kernel_size: int = 3,
+        kernel_size: int | Sequence[int] = 3,
         *,
         dims: Literal[2, 3] = 2,
         stride: int | tuple[int, ...] = 1,
@@ -118,16 +118,16 @@ class ConvNormAct(nn.Sequential):
         padding_mode: str = "zeros",
     ) -> None:
         strides = (stride,) * dims if isinstance(stride, int) else stride
+        sides = (kernel_size,) * dims if isinstance(kernel_size, int) else tuple(kernel_size)
         # what an odd kernel lacks of twice the size
-        extra: dict[str, Any] = (
-            {"output_padding": tuple(kernel_size % 2 * (step - 1) for step in strides)} if transposed else {}
-        )
+        odd = tuple(side % 2 * (step - 1) for side, step in zip(sides, strides, strict=True))
+        extra: dict[str, Any] = {"output_padding": odd} if transposed else {}
         conv = _CONV[dims, transposed](
             in_channels,
             out_channels,
-            kernel_size,
+            sides,
             stride=strides,
-            padding=dilation * (kernel_size - 1) // 2,
+            padding=tuple(dilation * (side - 1) // 2 for side in sides),
             dilation=dilation,
             groups=groups,
             bias=bias,

@@ -6,6 +6,7 @@ from stereokit.models.crl import CRL
 from stereokit.models.deeppruner import DeepPrunerBest, DeepPrunerFast
 from stereokit.models.dispnetc import DispNetC
 from stereokit.models.fast_acvnet import FastACVNet, FastACVNetPlus
+from stereokit.models.ganet import ganet_11, ganet_deep
 from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
 from stereokit.models.igev import IGEV, RTIGEV
@@ -34,6 +35,8 @@ __all__ = [
     "casstereo_gwc",
     "casstereo_psm",
     "coex",
+    "ganet_11",
+    "ganet_deep",
     "gcnet",
     "gwcnet_g",
     "gwcnet_gc",

@@ -34,7 +34,7 @@ def soft_argmin(logits: Tensor, candidates: Tensor | None = None) -> Tensor:
     1.5
     """
     _check_logits(logits)
-    return _expectation(_softmax(logits), candidates)
+    return expectation(softmax(logits), candidates)
 
 
 def top_k_soft_argmin(logits: Tensor, k: int, candidates: Tensor | None = None) -> Tensor:
@@ -121,11 +121,9 @@ class SoftArgmin(nn.Module):
         distribution has several peaks or is flat. Source: Yao et al., "MVSNet", ECCV 2018, section 4.2.
         """
         _check_logits(logits)
-        probability = _softmax(logits)
-        estimate = _expectation(probability, candidates)
-        # of the last candidate at or below the estimate
-        level = estimate if candidates is None else (_as_volume(candidates) <= estimate.unsqueeze(1)).sum(1) - 1
-        return self._stretched(estimate, logits, candidates), _mass_near(probability, level)
+        probability = softmax(logits)
+        estimate = expectation(probability, candidates)
+        return self._stretched(estimate, logits, candidates), mass_near(probability, estimate, candidates)
 
     def _stretched(self, estimate: Tensor, logits: Tensor, candidates: Tensor | None) -> Tensor:
         levels = logits.shape[1]
@@ -175,11 +173,12 @@ class TopKSoftArgmin(nn.Module):
         return f"k={self.k}, test_k={self.test_k}"
 
 
-def _softmax(logits: Tensor) -> Tensor:
+def softmax(logits: Tensor) -> Tensor:
+    """Over the levels, in single precision or better."""
     return at_least_float32(logits).softmax(1)
 
 
-def _expectation(probability: Tensor, candidates: Tensor | None = None) -> Tensor:
+def expectation(probability: Tensor, candidates: Tensor | None = None) -> Tensor:
     """Mean of the candidates, weighed by (B, D, H, W) probabilities."""
     if candidates is None:
         candidates = torch.arange(probability.shape[1], device=probability.device)
@@ -187,17 +186,19 @@ def _expectation(probability: Tensor, candidates: Tensor | None = None) -> Tenso
     return (probability * _as_volume(candidates)).sum(1)
 
 
-def _mass_near(probability: Tensor, estimate: Tensor) -> Tensor:
-    """Probability (B, D, H, W) of the four levels nearest to an estimate in levels, (B, H, W)."""
+def mass_near(probability: Tensor, estimate: Tensor, candidates: Tensor | None = None) -> Tensor:
+    """Probability (B, D, H, W) of the four candidates nearest to an estimate (B, H, W)."""
     levels = probability.shape[1]
-    nearest = estimate.long().unsqueeze(1) + torch.arange(-1, 3, device=estimate.device).reshape(-1, 1, 1)
+    # of the last candidate at or below the estimate
+    level = estimate if candidates is None else (_as_volume(candidates) <= estimate.unsqueeze(1)).sum(1) - 1
+    nearest = level.long().unsqueeze(1) + torch.arange(-1, 3, device=level.device).reshape(-1, 1, 1)
     mass = probability.gather(1, nearest.clamp(0, levels - 1))
     return (mass * ((nearest >= 0) & (nearest < levels))).sum(1).clamp(max=1)
 
 
 def _kept_expectation(logits: Tensor, kept: Tensor, index: Tensor, candidates: Tensor | None = None) -> Tensor:
     values = index if candidates is None else _as_volume(candidates).expand_as(logits).gather(1, index)
-    return (_softmax(kept) * values).sum(1)
+    return (softmax(kept) * values).sum(1)
 
 
 def _kept_mass(logits: Tensor, kept: Tensor) -> Tensor:

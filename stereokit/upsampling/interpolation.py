@@ -19,7 +19,12 @@ __all__ = [
 
 
 def trilinear_upsample(
-    logits: Tensor, scale: int, *, planes_scale: int | None = None, align_corners: bool = False
+    logits: Tensor,
+    scale: int,
+    *,
+    planes_scale: int | None = None,
+    align_corners: bool = False,
+    include_end: bool = False,
 ) -> Tensor:
     """Logits (B, D, h, w) to (B, D * planes_scale, h * scale, w * scale).
 
@@ -28,11 +33,17 @@ def trilinear_upsample(
         scale: of height and width, a whole number.
         planes_scale: of the planes; None for the same.
         align_corners: as in `bilinear_upsample`.
+        include_end: the last plane is the end of the range, before and after: (D - 1) * planes_scale + 1 come of D.
 
     >>> import torch
     >>> trilinear_upsample(torch.rand(1, 6, 2, 3), 4).shape
     torch.Size([1, 24, 8, 12])
     """
+    if include_end:
+        planes, height, width = logits.shape[1:]
+        levels = (planes - 1) * (scale if planes_scale is None else planes_scale) + 1
+        size = (levels, height * scale, width * scale)
+        return F.interpolate(logits.unsqueeze(1), size, mode="trilinear", align_corners=align_corners).squeeze(1)
     factors = (float(scale if planes_scale is None else planes_scale), float(scale), float(scale))
     return F.interpolate(
         logits.unsqueeze(1), scale_factor=factors, mode="trilinear", align_corners=align_corners
@@ -81,6 +92,7 @@ class TrilinearUpsampler(_Interpolation):
         scale: by which height and width grow: the stride of the logits.
         planes_scale: by which the planes grow; None for `scale`.
         align_corners: as in `bilinear_upsample`.
+        include_end: see `trilinear_upsample`; for candidates that include their end.
 
     Source: Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, section 3.4.
 
@@ -91,13 +103,27 @@ class TrilinearUpsampler(_Interpolation):
 
     domain: Literal["volume"] = "volume"
 
-    def __init__(self, *, scale: int, planes_scale: int | None = None, align_corners: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        scale: int,
+        planes_scale: int | None = None,
+        align_corners: bool = False,
+        include_end: bool = False,
+    ) -> None:
         super().__init__(scale=scale, align_corners=align_corners)
         self.planes_scale = scale if planes_scale is None else planes_scale
+        self.include_end = include_end
 
     def forward(self, x: Tensor, guides: Guides) -> Tensor:
         """(B, D, h, w) to (B, D * planes_scale, H, W)."""
-        return trilinear_upsample(x, self.scale, planes_scale=self.planes_scale, align_corners=self.align_corners)
+        return trilinear_upsample(
+            x,
+            self.scale,
+            planes_scale=self.planes_scale,
+            align_corners=self.align_corners,
+            include_end=self.include_end,
+        )
 
 
 @UPSAMPLERS.register("none")
