@@ -21,6 +21,7 @@ __all__ = [
     "coverage",
     "epipolar_rms",
     "largest_tilt",
+    "rectified_points",
     "share_covered",
     "view_quality",
 ]
@@ -95,19 +96,21 @@ class Quality:
 
 def epipolar_rms(rectification: Rectification, rig: Rig, views: Iterable[BoardView]) -> float:
     """Root mean square of the difference of rows, in rectified pixels. NaN without views."""
-    matrix = np.array(
-        [
-            [rectification.calibration.fx, 0, rectification.calibration.cx0],
-            [0, rectification.calibration.fy, rectification.calibration.known_cy()],
-            [0, 0, 1],
-        ]
-    )
-    errors = [
-        _rectified(rig.left, view.left, rectification.left_rotation, matrix)[:, 1]
-        - _rectified(rig.right, view.right, rectification.right_rotation, matrix)[:, 1]
-        for view in views
-    ]
+    pairs = [rectified_points(rectification, rig, view) for view in views]
+    errors = [left[:, 1] - right[:, 1] for left, right in pairs]
     return float(np.sqrt(np.square(np.concatenate(errors)).mean())) if errors else float("nan")
+
+
+def rectified_points(
+    rectification: Rectification, rig: Rig, view: BoardView
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Where the points of a view lie in the rectified pair, (N, 2) each."""
+    camera = rectification.calibration
+    matrix = np.array([[camera.fx, 0, camera.cx0], [0, camera.fy, camera.known_cy()], [0, 0, 1]])
+    return (
+        _rectified(rig.left, view.left, rectification.left_rotation, matrix),
+        _rectified(rig.right, view.right, rectification.right_rotation, matrix),
+    )
 
 
 def coverage(points: Iterable[npt.NDArray[np.float64]], size: tuple[int, int]) -> npt.NDArray[np.intp]:

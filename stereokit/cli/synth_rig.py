@@ -26,7 +26,7 @@ from stereokit.files import check_folder, check_free, make_folder
 
 __all__ = ["add_arguments", "run"]
 
-_NEAREST = 11  # px of a square that is found well at the farthest
+_LEAST_SQUARE = 11  # px, of which corners are found well
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
     # near enough that squares are large, and far enough that the board is seen whole
     wide = board.columns + (1 if isinstance(board, Checkerboard) else 0)
     near = wide * board.square * rig.left.fx / (0.75 * rig.left.width)
-    far = max(1.5 * near, board.square * rig.left.fx / _NEAREST)
+    far = max(1.5 * near, board.square * rig.left.fx / _LEAST_SQUARE)
     poses = board_poses(options.views, seed=options.seed, near=near, far=min(far, 3 * near))
     for i, pose in enumerate(tqdm(poses, total=options.views, unit="pair", disable=None)):
         views = renderer([board_plane(board, *pose)], seed=options.seed + i)
