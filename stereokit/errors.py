@@ -9,11 +9,15 @@ import os
 __all__ = ["CheckpointError", "ConfigError", "InputError", "StereoKitError", "printable"]
 
 
+_MOST = 400
+
+
 class StereoKitError(Exception):
     """Base of all errors that stereokit raises on purpose.
 
-    The message is one line whatever a file or a file's name put into it: control characters, and what no terminal can
-    print, are escaped.
+    The message is one line of fewer than 400 characters whatever a file or a file's name put into it: control
+    characters, and what no terminal can print, are escaped, and of a longer one the middle is left out. What was given
+    stands at its beginning, and what to do at its end.
 
     >>> from stereokit import build_model
     >>> try:
@@ -25,9 +29,9 @@ class StereoKitError(Exception):
 
     def __str__(self) -> str:
         text = super().__str__()
-        if text.isprintable():
-            return text
-        return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+        if not text.isprintable():
+            text = "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+        return text if len(text) < _MOST else f"{text[: _MOST - 164]} ... {text[-158:]}"
 
 
 class ConfigError(StereoKitError, ValueError):

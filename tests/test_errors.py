@@ -22,3 +22,12 @@ def test_a_name_is_quoted_short_and_printable(name):
     assert text.isprintable()
     assert len(text) <= 120
     assert printable("a'b.png") == repr("a'b.png")
+
+
+@pytest.mark.parametrize("length", [10, 399, 400, 401, 30_000])
+def test_of_a_long_message_the_middle_is_left_out(length):
+    message = str(InputError("a" * length + "; use another"))
+    assert len(message) < 400
+    assert message.startswith("a" * 10)
+    assert message.endswith("; use another")
+    assert (" ... " in message) == (length > 386)

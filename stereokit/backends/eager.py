@@ -75,7 +75,7 @@ class TorchBackend:
         with torch.inference_mode():
             output: StereoOutput = self._ready(left.to(self.device), right.to(self.device))
         # copying to the CPU waits for the device
-        return Estimate.of(output)
+        return Estimate.of(output).checked(left)
 
     def describe(self) -> dict[str, Any]:
         """The network's configuration and size, in plain JSON."""

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from stereokit.contracts import StereoOutput
 from stereokit.data.inputs import as_array
+from stereokit.errors import InputError
 
 __all__ = ["Backend", "Estimate"]
 
@@ -23,9 +24,29 @@ class Estimate(NamedTuple):
 
     @classmethod
     def of(cls, output: StereoOutput) -> "Estimate":
-        """The disparity and the confidence of a network's output."""
+        """The disparity and the confidence of a network's output.
+
+        Raises:
+            InputError: it is something else, as a network of one's own may give.
+        """
+        if not isinstance(getattr(output, "disparity", None), Tensor) or not hasattr(output, "confidence"):
+            raise InputError(
+                f"the network gave a {type(output).__name__}; expected a StereoOutput, of disparity (B, H, W) in pixels"
+            )
         confidence = None if output.confidence is None else as_array(output.confidence)
         return cls(as_array(output.disparity), confidence)
+
+    def checked(self, images: Tensor) -> "Estimate":
+        """Itself, if it is of the size of the images.
+
+        Raises:
+            InputError: it is of another, as that of a network of one's own or of a damaged file may be.
+        """
+        expected = (images.shape[0], *images.shape[-2:])
+        for name, values in (("disparity", self.disparity), ("confidence", self.confidence)):
+            if values is not None and values.shape != expected:
+                raise InputError(f"the network gave a {name} of shape {values.shape}; expected {expected}")
+        return self
 
 
 class Backend(Protocol):

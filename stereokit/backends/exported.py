@@ -58,7 +58,7 @@ class ExportedBackend(ABC):
         lefts, rights = (as_float(x).to("cpu", torch.float32).numpy() for x in (left, right))
         outputs = [self.run(a[None], b[None]) for a, b in zip(lefts, rights, strict=True)]
         disparity, *confidence = (np.concatenate(maps) for maps in zip(*outputs, strict=True))
-        return Estimate(disparity, confidence[0] if confidence else None)
+        return Estimate(disparity, confidence[0] if confidence else None).checked(left)
 
     def describe(self) -> dict[str, Any]:
         """What the file says of itself, in plain JSON."""

@@ -85,7 +85,7 @@ class ExportMetadata:
             if written <= FORMAT:
                 size = stored["size"]
                 return cls(**{**stored, "size": None if size is None else (int(size[0]), int(size[1]))})
-        except (ValueError, TypeError, KeyError, IndexError) as error:
+        except (ValueError, TypeError, KeyError, IndexError, OverflowError, RecursionError) as error:
             raise CheckpointError(f"{path!r} is damaged: what it says of itself can't be read ({error})") from error
         raise CheckpointError(
             f"{path!r} was written by stereokit {version} in format {written}; this is stereokit {__version__}, which "

@@ -9,7 +9,7 @@ import torch
 
 from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.metadata import ExportMetadata
-from stereokit.errors import CheckpointError, ConfigError
+from stereokit.errors import CheckpointError, ConfigError, printable
 from stereokit.runtime.optional import import_optional
 
 __all__ = ["OnnxRuntimeBackend"]
@@ -73,7 +73,11 @@ class OnnxRuntimeBackend(ExportedBackend):
             # its errors have a family of their own, and one class for nearly all
             if any(words in str(error) for words in ("Failed to allocate memory", "bad_alloc", "out of memory")):
                 raise MemoryError(str(error)) from error
-            raise
+            reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+            raise CheckpointError(
+                f"{printable(self.path)} fails in ONNX Runtime with images {left.shape}: {reason}; if the file is "
+                "damaged, export it again"
+            ) from error
         return maps
 
     @staticmethod

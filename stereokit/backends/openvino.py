@@ -10,7 +10,7 @@ import torch
 from stereokit.backends.exported import ExportedBackend
 from stereokit.backends.metadata import KEY, ExportMetadata
 from stereokit.backends.signal_stack import kept_signal_stack
-from stereokit.errors import CheckpointError, ConfigError
+from stereokit.errors import CheckpointError, ConfigError, printable
 from stereokit.runtime.optional import import_optional
 
 __all__ = ["OpenVinoBackend"]
@@ -83,6 +83,15 @@ class OpenVinoBackend(ExportedBackend):
     def run(self, left: npt.NDArray[np.float32], right: npt.NDArray[np.float32]) -> list[npt.NDArray[np.float32]]:
         """One pair through the file."""
         with self._alone:
-            maps = self._compiled({"left": left, "right": right})
+            try:
+                maps = self._compiled({"left": left, "right": right})
+            except RuntimeError as error:
+                reason = next(iter(str(error).strip().splitlines()[::-1]), type(error).__name__)
+                if "out of memory" in reason.lower() or "bad_alloc" in reason:
+                    raise MemoryError(reason) from error
+                raise CheckpointError(
+                    f"{printable(self.path)} fails in OpenVINO with images {left.shape}: {reason}; if the file is "
+                    "damaged, export it again"
+                ) from error
             # copies: the next pair is written into the same memory
             return [np.array(maps[output]) for output in self._compiled.outputs]

@@ -89,6 +89,8 @@ def export_openvino(
                 check_exact(exact)
             backend = OpenVinoBackend(xml, "cpu", weights=binary)
             differences = compare(backend, network, chosen)
+            # a graph of before must not read the weights of now, should the process end between the two
+            target.unlink(missing_ok=True)
     return ExportReport(
         target,
         backend.metadata,

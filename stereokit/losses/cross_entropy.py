@@ -75,7 +75,9 @@ def known_cells(
             f"ground truth {tuple(truth.shape)} at stride {distribution.stride} wants logits of at least "
             f"({len(truth)}, L, {rows}, {columns}); got {tuple(logits.shape)}"
         )
-    return cells, valid_pixels(cells, max_disparity=max_disparity), logits[:, :, :rows, :columns]
+    known = valid_pixels(cells, max_disparity=max_disparity)
+    # those of unknown cells may be anything, and have no gradient
+    return cells, known, torch.where(known.unsqueeze(1), logits[:, :, :rows, :columns], 0)
 
 
 def distribution_of(prediction: Prediction, loss: str) -> Distribution:

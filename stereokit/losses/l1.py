@@ -5,7 +5,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stereokit.contracts import Prediction
-from stereokit.losses.known import mean_over_known
+from stereokit.losses.known import difference_where_known, mean_over_known
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 
@@ -57,5 +57,5 @@ class L1:
         rows, columns = target.shape[-2:]
         # the prediction may cover the padding too
         disparity = prediction.disparity[:, :rows, :columns]
-        distance = (torch.where(known, target.to(disparity.dtype), disparity.detach()) - disparity).abs()
+        distance = difference_where_known(target, disparity, known).abs()
         return mean_over_known(distance, known)

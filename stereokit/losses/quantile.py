@@ -5,7 +5,7 @@ from torch import Tensor
 
 from stereokit.contracts import Prediction, at_full_size
 from stereokit.errors import ConfigError, InputError
-from stereokit.losses.known import mean_over_known
+from stereokit.losses.known import difference_where_known, mean_over_known
 from stereokit.losses.smooth_l1 import masked_smooth_l1
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
@@ -44,7 +44,7 @@ def masked_pinball(disparity: Tensor, truth: Tensor, quantile: float, *, max_dis
     if not 0 < quantile < 1:
         raise InputError(f"a quantile lies between 0 and 1; got {quantile}")
     known = valid_pixels(truth, max_disparity=max_disparity)
-    apart = torch.where(known, truth.to(disparity.dtype), disparity.detach()) - disparity
+    apart = difference_where_known(truth, disparity, known)
     distance = torch.maximum(quantile * apart, (quantile - 1) * apart)
     return mean_over_known(distance, known)
 

@@ -1,11 +1,10 @@
 """The two-parameter robust loss of StereoNet, at one of its members."""
 
-import torch
 from torch import Tensor
 
 from stereokit.contracts import Prediction, at_full_size
 from stereokit.errors import ConfigError
-from stereokit.losses.known import mean_over_known
+from stereokit.losses.known import difference_where_known, mean_over_known
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 
@@ -29,6 +28,7 @@ class Robust:
     Source: Barron, "A general and adaptive robust loss function", CVPR 2019, with alpha = 1; Khamis et al.,
     "StereoNet", ECCV 2018, section 3.5, with c = 2.
 
+    >>> import torch
     >>> round(Robust()(Prediction(torch.zeros(1, 1, 1)), torch.full((1, 1, 1), 2.0), max_disparity=None).item(), 4)
     0.4142
     """
@@ -42,6 +42,6 @@ class Robust:
         """The mean over the known pixels; 0, with a gradient of 0, where there is none."""
         disparity = at_full_size(prediction, truth.shape[-2:])
         known = valid_pixels(truth, max_disparity=max_disparity)
-        apart = torch.where(known, truth.to(disparity.dtype), disparity.detach()) - disparity
+        apart = difference_where_known(truth, disparity, known)
         distance = ((apart / self.scale) ** 2 + 1).sqrt() - 1
         return mean_over_known(distance, known)

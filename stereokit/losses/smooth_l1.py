@@ -6,7 +6,7 @@ from torch.nn import functional as F
 
 from stereokit.contracts import Prediction, at_full_size
 from stereokit.errors import InputError
-from stereokit.losses.known import mean_over_known
+from stereokit.losses.known import difference_where_known, mean_over_known
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 
@@ -39,8 +39,8 @@ def masked_smooth_l1(disparity: Tensor, truth: Tensor, *, max_disparity: float |
             f"estimate and ground truth differ in shape: {tuple(disparity.shape)} and {tuple(truth.shape)}"
         )
     known = valid_pixels(truth, max_disparity=max_disparity)
-    target = torch.where(known, truth, disparity.detach())
-    distance = F.smooth_l1_loss(disparity, target.to(disparity.dtype), reduction="none")
+    apart = difference_where_known(truth, disparity, known)
+    distance = F.smooth_l1_loss(apart, torch.zeros_like(apart), reduction="none")
     return mean_over_known(distance, known)
 
 

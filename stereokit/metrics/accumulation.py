@@ -8,7 +8,14 @@ import torch.distributed
 from torch import Tensor
 
 from stereokit.errors import InputError
-from stereokit.metrics.known import absolute_error, checked_ceiling, checked_mask, checked_tau, is_outlier
+from stereokit.metrics.known import (
+    absolute_error,
+    checked_ceiling,
+    checked_floor,
+    checked_mask,
+    checked_tau,
+    is_outlier,
+)
 
 __all__ = ["StereoMetrics"]
 
@@ -26,9 +33,11 @@ class StereoMetrics:
         taus: thresholds of bad-tau, in pixels.
         max_disparity: ceiling of the truth, exclusive, in pixels. None counts every known pixel, as KITTI
             does; 192 is customary for SceneFlow.
+        min_disparity: floor of the truth in pixels, see `valid_pixels`.
 
     Raises:
-        InputError: a threshold that is negative, not finite or given twice, or a ceiling that leaves nothing.
+        InputError: a threshold that is negative, not finite or given twice, or a floor and a ceiling that leave
+            nothing.
 
     >>> metrics = StereoMetrics(taus=(1, 3), max_disparity=192)
     >>> truth = torch.tensor([[[10.0, 20.0, 0.0]], [[50.0, 300.0, 0.0]]])
@@ -45,9 +54,16 @@ class StereoMetrics:
     (0.0, 3)
     """
 
-    def __init__(self, *, taus: Sequence[float] = (1.0, 2.0, 3.0), max_disparity: float | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        taus: Sequence[float] = (1.0, 2.0, 3.0),
+        max_disparity: float | None = None,
+        min_disparity: float = 0,
+    ) -> None:
         self.taus = tuple(checked_tau(tau) for tau in taus)
-        self.max_disparity = None if max_disparity is None else checked_ceiling(max_disparity)
+        self.min_disparity = checked_floor(min_disparity)
+        self.max_disparity = None if max_disparity is None else checked_ceiling(max_disparity, self.min_disparity)
         self._measures = ("epe", *(f"bad_{tau:g}" for tau in self.taus), "d1")
         if len(set(self._measures)) < len(self._measures):
             raise InputError(f"taus are {self.taus}; expected thresholds that differ")
@@ -82,7 +98,7 @@ class StereoMetrics:
         Raises:
             InputError: tensors of another shape or type.
         """
-        error, truth, valid = absolute_error(prediction, truth, None, self.max_disparity)
+        error, truth, valid = absolute_error(prediction, truth, None, self.max_disparity, self.min_disparity)
         if error.ndim != 3:
             raise InputError(f"prediction has shape {tuple(error.shape)}; expected a batch of maps, (B, H, W)")
         finite = torch.isfinite(error)
@@ -156,7 +172,7 @@ class StereoMetrics:
         Raises:
             InputError: the other one counts by other rules.
         """
-        for name in ("taus", "max_disparity"):
+        for name in ("taus", "max_disparity", "min_disparity"):
             mine, theirs = getattr(self, name), getattr(other, name)
             if mine != theirs:
                 raise InputError(f"metrics with {name}={mine} and {name}={theirs} can't be merged; use one for both")
@@ -177,10 +193,14 @@ class StereoMetrics:
         if torch.distributed.is_available() and torch.distributed.is_initialized():
             states = states * torch.distributed.get_world_size(group)
             torch.distributed.all_gather_object(states, self.state_dict(), group=group)
-        merged = StereoMetrics(taus=self.taus, max_disparity=self.max_disparity)
+        merged = StereoMetrics(**self.settings())
         for state in states:
             merged.merge(StereoMetrics.from_state_dict(state))
         return merged
+
+    def settings(self) -> dict[str, Any]:
+        """The rules that it counts by, in plain JSON: the arguments of another accumulator of the kind."""
+        return {"taus": list(self.taus), "max_disparity": self.max_disparity, "min_disparity": self.min_disparity}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything seen so far, in numbers and lists that JSON keeps exactly.
@@ -189,8 +209,7 @@ class StereoMetrics:
         >>> StereoMetrics.from_state_dict(metrics.state_dict()).compute() == metrics.compute()
         True
         """
-        settings = {"taus": list(self.taus), "max_disparity": self.max_disparity}
-        return {**settings, **{name: tensor.tolist() for name, tensor in self._tensors().items()}}
+        return {**self.settings(), **{name: tensor.tolist() for name, tensor in self._tensors().items()}}
 
     @classmethod
     def from_state_dict(cls, state: Mapping[str, Any]) -> "StereoMetrics":
@@ -206,7 +225,7 @@ class StereoMetrics:
                 f"expected {', '.join(expected)}"
             )
         try:
-            metrics = cls(taus=state["taus"], max_disparity=state["max_disparity"])
+            metrics = cls(**{name: state[name] for name in cls().settings()})
             for name, tensor in metrics._tensors().items():
                 values = torch.tensor(state[name], dtype=tensor.dtype)
                 if values.shape != tensor.shape:

@@ -20,7 +20,12 @@ KITTI_METRICS = {
 
 
 def end_point_error(
-    prediction: Tensor, truth: Tensor, mask: Tensor | None = None, *, max_disparity: float | None = None
+    prediction: Tensor,
+    truth: Tensor,
+    mask: Tensor | None = None,
+    *,
+    max_disparity: float | None = None,
+    min_disparity: float = 0,
 ) -> float | None:
     """The mean end-point error (EPE) over all counted pixels that have a finite prediction, in pixels.
 
@@ -31,6 +36,7 @@ def end_point_error(
         truth: d*, of the prediction's shape; 0 or non-finite is unknown.
         mask: bool, of the same shape; pixels to leave out are False.
         max_disparity: ceiling of the truth, exclusive, in pixels.
+        min_disparity: floor of the truth in pixels, see `valid_pixels`.
 
     Returns:
         The error in pixels, or None where there is no pixel to average.
@@ -43,7 +49,7 @@ def end_point_error(
     >>> end_point_error(torch.tensor([10.0]), torch.tensor([0.0])) is None
     True
     """
-    error, _, valid = absolute_error(prediction, truth, mask, max_disparity)
+    error, _, valid = absolute_error(prediction, truth, mask, max_disparity, min_disparity)
     return _mean(error[valid & torch.isfinite(error)])
 
 
@@ -54,6 +60,7 @@ def bad_pixels(
     mask: Tensor | None = None,
     *,
     max_disparity: float | None = None,
+    min_disparity: float = 0,
 ) -> float | None:
     """Bad-tau: the share of counted pixels whose error is larger than tau pixels, in percent.
 
@@ -67,6 +74,7 @@ def bad_pixels(
         tau: threshold in pixels; an error of exactly tau is not bad.
         mask: bool, of the same shape; pixels to leave out are False.
         max_disparity: ceiling of the truth, exclusive, in pixels.
+        min_disparity: floor of the truth in pixels, see `valid_pixels`.
 
     Returns:
         0 to 100, or None where no pixel counts.
@@ -79,12 +87,17 @@ def bad_pixels(
     >>> bad_pixels(torch.tensor([10.0, 25.0]), torch.tensor([13.0, 20.0]), tau=3)
     50.0
     """
-    error, _, valid = absolute_error(prediction, truth, mask, max_disparity)
+    error, _, valid = absolute_error(prediction, truth, mask, max_disparity, min_disparity)
     return _percent((error > checked_tau(tau))[valid])
 
 
 def d1(
-    prediction: Tensor, truth: Tensor, mask: Tensor | None = None, *, max_disparity: float | None = None
+    prediction: Tensor,
+    truth: Tensor,
+    mask: Tensor | None = None,
+    *,
+    max_disparity: float | None = None,
+    min_disparity: float = 0,
 ) -> float | None:
     """D1: the share of counted pixels that are outliers in KITTI 2015's sense, in percent.
 
@@ -98,6 +111,7 @@ def d1(
         truth: d*, of the prediction's shape; 0 or non-finite is unknown.
         mask: bool, of the same shape; pixels to leave out are False.
         max_disparity: ceiling of the truth, exclusive, in pixels. KITTI has none.
+        min_disparity: floor of the truth in pixels, see `valid_pixels`.
 
     Returns:
         0 to 100, or None where no pixel counts.
@@ -110,12 +124,17 @@ def d1(
     >>> d1(torch.tensor([14.0, 104.0, 106.0]), torch.tensor([10.0, 100.0, 0.0]))
     50.0
     """
-    error, truth, valid = absolute_error(prediction, truth, mask, max_disparity)
+    error, truth, valid = absolute_error(prediction, truth, mask, max_disparity, min_disparity)
     return _percent(is_outlier(error, truth)[valid])
 
 
 def invalid_predictions(
-    prediction: Tensor, truth: Tensor, mask: Tensor | None = None, *, max_disparity: float | None = None
+    prediction: Tensor,
+    truth: Tensor,
+    mask: Tensor | None = None,
+    *,
+    max_disparity: float | None = None,
+    min_disparity: float = 0,
 ) -> int:
     """How many counted pixels have a prediction that is not finite.
 
@@ -124,6 +143,7 @@ def invalid_predictions(
         truth: d*, of the prediction's shape; 0 or non-finite is unknown.
         mask: bool, of the same shape; pixels to leave out are False.
         max_disparity: ceiling of the truth, exclusive, in pixels.
+        min_disparity: floor of the truth in pixels, see `valid_pixels`.
 
     Raises:
         InputError: tensors of different shapes or of the wrong type.
@@ -132,7 +152,7 @@ def invalid_predictions(
     >>> invalid_predictions(torch.tensor([nan, inf, nan]), torch.tensor([5.0, 5.0, 0.0]))
     2
     """
-    error, _, _ = absolute_error(prediction, truth, mask, max_disparity)
+    error, _, _ = absolute_error(prediction, truth, mask, max_disparity, min_disparity)
     return int(torch.isinf(error).sum())
 
 

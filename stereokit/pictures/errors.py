@@ -35,10 +35,11 @@ def error_picture(
     *,
     occluded: npt.ArrayLike | None = None,
     dilate: int = 1,
+    min_disparity: float = 0,
 ) -> Picture:
     """Where a prediction is wrong, and by how much, in the colours of the KITTI 2015 devkit.
 
-    The colour is that of `KITTI_ERROR_COLORS` for e = min(|d - d*|, 60 |d - d*| / d*): blue up to e = 3,
+    The colour is that of `KITTI_ERROR_COLORS` for e = min(|d - d*|, 60 |d - d*| / |d*|): blue up to e = 3,
     yellow to red beyond. So the warm pixels are exactly the outliers that D1 counts (> 3 px and > 5 % of the
     truth). Pixels without a prediction (not finite) are magenta, pixels without ground truth black.
 
@@ -48,6 +49,7 @@ def error_picture(
         occluded: (H, W), bool: pixels that the right image does not see; drawn half as bright.
         dilate: how far pixels of sparse ground truth spread into unknown neighbours; the worst one wins.
             Pixels with ground truth keep their own colour. 0 spreads nothing.
+        min_disparity: of the truth that is known, in pixels; below 0 makes 0 a disparity like any other.
 
     Returns:
         (H, W, 3), uint8, RGB.
@@ -64,12 +66,14 @@ def error_picture(
     predicted, true = as_map(prediction, "prediction"), as_map(truth, "truth")
     if predicted.shape != true.shape:
         raise InputError(f"prediction is {predicted.shape} and truth {true.shape}; expected two maps of one size")
-    known = np.isfinite(true) & (true > 0)
+    known = np.isfinite(true) & (true >= min_disparity if min_disparity else true > 0)
     invalid = ~np.isfinite(predicted)
     # In float64 the difference of two float32 numbers is exact, so that an error of exactly 3 px stays blue.
     true = np.where(known, true, 1).astype(np.float64)
     absolute = np.abs(np.where(invalid, true, predicted) - true)
-    error = np.minimum(absolute, 60 * absolute / true)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # fmin, for a truth of 0
+        error = np.fmin(absolute, 60 * absolute / np.abs(true))
     limits, colors = zip(*KITTI_ERROR_COLORS, strict=True)
     # 0 is "unknown", 1 to 10 the table's rows, 11 "no prediction": the worst is the largest.
     colors = ((0, 0, 0), *colors, NO_PREDICTION_COLOR)

@@ -5,13 +5,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 
-from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
+from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError, printable
 from stereokit.files import make_folder, write_json
-from stereokit.training.fields import brief
+from stereokit.training.fields import brief, is_number
 from stereokit.training.recipe import Recipe
 
 __all__ = ["RunFolder"]
@@ -52,6 +52,8 @@ class RunFolder:
         """
         if self.record.exists() and resume:
             before = _read_json(self.record)
+            if not isinstance(before.get("recipe"), dict):
+                raise CheckpointError(f"{printable(self.record)} is damaged: it holds no recipe; choose another --out")
             self._check_same_run(before, asked)
             if before.pop("ended_by", None) is not None:
                 write_json(self.record, before, overwrite=True)
@@ -78,7 +80,10 @@ class RunFolder:
             raise CheckpointError(f"the checkpoint {str(self.last)!r} can't be read: {error}") from error
         if not isinstance(checkpoint, dict) or "stereokit" not in checkpoint:
             raise CheckpointError(f"{str(self.last)!r} is no checkpoint of stereokit train")
-        done, ended_by = checkpoint["global_step"], checkpoint["stereokit"].get("ended_by_minutes")
+        own = checkpoint["stereokit"]
+        done, ended_by = checkpoint.get("global_step"), own.get("ended_by_minutes") if isinstance(own, dict) else own
+        if type(done) is not int or not (ended_by is None or is_number(ended_by)):
+            raise CheckpointError(f"{str(self.last)!r} is damaged: it does not say how far the run has come")
         if done >= steps or (minutes is not None and ended_by is not None and minutes <= ended_by):
             length = f"{steps} steps" if done >= steps else f"{minutes:g} minutes"
             raise ConfigError(
@@ -89,7 +94,14 @@ class RunFolder:
     def best_bad_3(self) -> float | None:
         """Of the best network so far; None if there is none."""
         record = self.best / "training.json"
-        return float(_read_json(record)["validation"]["validation/bad_3"]) if record.is_file() else None
+        if not record.is_file():
+            return None
+        try:
+            return float(_read_json(record)["validation"]["validation/bad_3"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise CheckpointError(
+                f"{printable(record)} is damaged: it does not say how well the network validated; remove its folder"
+            ) from error
 
     def note_end(self, error: Exception) -> None:
         """Writes down the error that ended the run."""
@@ -142,6 +154,9 @@ def _without_common(values: Mapping[str, Any], others: Mapping[str, Any]) -> dic
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        return cast(dict[str, Any], json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
-        raise CheckpointError(f"{str(path)!r} can't be read: {error}") from error
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"{printable(path)} can't be read: {error}") from error
+    if not isinstance(content, dict):
+        raise CheckpointError(f"{printable(path)} is damaged: it holds {brief(content)}; expected the record of a run")
+    return content

@@ -17,7 +17,7 @@ from torch import Tensor
 from stereokit.config import IMAGENET_MEAN, IMAGENET_STD, rebuild
 from stereokit.errors import CheckpointError, ConfigError
 from stereokit.registry import suggest
-from stereokit.weights.folder import load_state
+from stereokit.weights.folder import check_state
 from stereokit.weights.key_map import PUBLISHED, ChannelOrder, Published
 from stereokit.weights.places import check_no_program
 
@@ -108,9 +108,14 @@ def convert_published(
     published = _claimant(state, network, source)
     order = channel_order or published.images
     variant = _variant(published, state, source)
-    model: StereoNetwork = rebuild({"name": published.network}, **{**_settings(published, variant, order), **overrides})
+    settings = {**_settings(published, variant, order), **overrides}
     used = {key: value for key, value in state.items() if not published.is_unused(key)}
-    load_state(model, _in_our_terms(published, used, order), source)
+    ours = _in_our_terms(published, used, order)
+    with torch.device("meta"):
+        # without data: sizes that are read off a damaged file take no memory
+        check_state(rebuild({"name": published.network}, **settings).state_dict(), ours, source)
+    model: StereoNetwork = rebuild({"name": published.network}, **settings)
+    model.load_state_dict(ours)
     dropped = tuple(key for key in state if key not in used)
     report = ConversionReport(published.network, order, len(used), dropped, variant)
     logger.info("%s: %s", source, report)

@@ -82,3 +82,32 @@ def test_a_fixed_size_is_checked_on_that_size_alone():
     fitting, odd = (pair[0].shape[-2:] for _, pair in check_pairs(Tiny(), None))
     assert not any(side % 8 for side in fitting)
     assert all(side % 8 for side in odd)
+
+
+def test_a_confidence_that_is_another_is_wrong():
+    def unsure(by):
+        def backend(left, right):
+            output = model(left, right)
+            return Estimate(output.disparity.numpy(), output.confidence.numpy() + by)
+
+        return backend
+
+    model = Tiny().eval()
+    with torch.inference_mode():
+        check_exact(compare(unsure(0.001), model, PAIR))
+        differences = compare(unsure(0.1), model, PAIR)
+        assert differences[0].confidence == pytest.approx(0.1, abs=1e-5)
+        with pytest.raises(ConfigError, match="wrong and was not kept"):
+            check_exact(differences)
+
+
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_of_the_pixels_with_ties_those_that_are_far_count(monkeypatch, everywhere):
+    def ties(model, left, right):
+        return torch.full((1, *left.shape[-2:]), everywhere)
+
+    monkeypatch.setattr("stereokit.export.checking.tied_pixels", ties)
+    model = Tiny().eval()
+    [difference] = compare(Shifted(model, 0.5, 0.25), model, PAIR)
+    assert difference.above_tolerance == 0.25
+    assert difference.tied == (0.25 if everywhere else 0)

@@ -1,11 +1,10 @@
 """The readers, each with small valid files to damage."""
 
 import io
-import json
-import tempfile
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,12 @@ from stereokit.data.pfm import read_pfm
 from stereokit.weights.folder import load_folder
 from stereokit.weights.published import load_published
 from tests.data.encoded import animated_png, chunk, encode, png, tiff
+from tests.fuzz.commands import command_inputs, left_images, run_command, truth
 from tests.fuzz.mutate import mutated, with_checksums
+from tests.fuzz.networks import published_checkpoint, saved_network
+from tests.fuzz.structured import json_damaged, safetensors_damaged, zip_damaged
 
-__all__ = ["FILES", "KINDS", "LIBRARY", "Kind"]
+__all__ = ["COMMANDS", "FILES", "KINDS", "LIBRARY", "Kind"]
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,9 @@ class Kind:
         name: of the file, in a folder of its own.
         beside: other files of that folder.
         repair: of half of the damaged files, to get past what finds damage first.
+        damage: what makes input `number` out of the seeds and the file's name.
         quick: how many inputs the default suite tries.
+        long: for how many of the long run's inputs one is tried: networks and commands take their time.
     """
 
     seeds: Callable[[], list[bytes]]
@@ -43,10 +47,12 @@ class Kind:
     name: str
     beside: Callable[[], dict[str, bytes]] = dict
     repair: Callable[[bytes], bytes] | None = None
+    damage: Callable[[list[bytes], str, int], bytes] = mutated
     quick: int = 200
+    long: int = 1
 
     def input(self, seeds: list[bytes], number: int) -> bytes:
-        data = mutated(seeds, self.name, number)
+        data = self.damage(seeds, self.name, number)
         return self.repair(data) if self.repair and number % 2 else data
 
 
@@ -187,23 +193,6 @@ def _metadata_seeds() -> list[bytes]:
     return [ExportMetadata(network, 192, (384, 1248), "int8", 18).to_json().encode()]
 
 
-_CONFIG = {"network": {"model": "coex"}}
-
-
-def _safetensors() -> bytes:
-    from safetensors.torch import save
-
-    return bytes(save({"a": torch.ones(2, 3), "b.weight": torch.zeros(1)}))
-
-
-def _config() -> bytes:
-    from stereokit import build_model
-
-    with tempfile.TemporaryDirectory() as folder:
-        build_model("coex").save_pretrained(folder)
-        return (Path(folder) / "config.json").read_bytes()
-
-
 def _folder(path: Path) -> Any:
     return str(load_folder(str(path.parent)).config)
 
@@ -215,24 +204,44 @@ def _checkpoints() -> list[bytes]:
         buffer = io.BytesIO()
         torch.save(content, buffer)
         out.append(buffer.getvalue())
-    return out
+    return [*out, published_checkpoint()]
+
+
+def _beside(name: str) -> Callable[[], dict[str, bytes]]:
+    return lambda: {other: content for other, content in saved_network().items() if other != name}
+
+
+def _saved_files(name: str, **options: Any) -> Kind:
+    return Kind(lambda: [saved_network()[name]], _folder, name, beside=_beside(name), **options)
 
 
 LIBRARY = {
     "recipe": Kind(_recipes, _recipe, "a.toml"),
-    "metadata": Kind(_metadata_seeds, _metadata, "metadata.json"),
-    "checkpoint": Kind(_checkpoints, load_published, "a.ckpt", quick=200),
-    "safetensors": Kind(
-        lambda: [_safetensors()],
-        _folder,
-        "model.safetensors",
-        beside=lambda: {"config.json": json.dumps(_CONFIG).encode()},
-        quick=100,
-    ),
-    "config": Kind(
-        lambda: [_config()], _folder, "config.json", beside=lambda: {"model.safetensors": _safetensors()}, quick=30
-    ),
+    "metadata": Kind(_metadata_seeds, _metadata, "metadata.json", damage=json_damaged),
+    "checkpoint": Kind(_checkpoints, load_published, "a.ckpt", damage=zip_damaged, quick=20, long=100),
+    "safetensors": _saved_files("model.safetensors", damage=safetensors_damaged, quick=40, long=20),
+    "config": _saved_files("config.json", damage=json_damaged, quick=40, long=20),
 }
 """What the library keeps of networks, runs and exports."""
 
-KINDS = {**FILES, **LIBRARY}
+
+def _network_and_pair() -> dict[str, bytes]:
+    return {**command_inputs(), **_beside("config.json")()}
+
+
+def _command(name: str, of: Kind) -> Kind:
+    return replace(of, read=partial(run_command, name), beside=command_inputs, quick=4, long=100)
+
+
+COMMANDS = {
+    "predict": _command("predict", replace(FILES["png"], seeds=left_images)),
+    "depth": _command("depth", FILES["calibration"]),
+    "eval": _command("eval", Kind(lambda: [truth(".pfm")], run_command, "disparity.pfm")),
+    "eval-npz": _command("eval", Kind(lambda: [truth(".npz")], run_command, "disparity.npz", damage=zip_damaged)),
+    "data": _command("data", Kind(lambda: [b"left.png right.png name=a\n"], run_command, "a.txt")),
+    "convert": _command("convert", replace(LIBRARY["checkpoint"], name="a.ckpt")),
+    "weights": replace(_command("weights", LIBRARY["config"]), beside=_network_and_pair),
+}
+"""Whole commands, each with one damaged file."""
+
+KINDS = {**FILES, **LIBRARY, **COMMANDS}

@@ -9,8 +9,9 @@ from torch.testing import assert_close
 
 from stereokit import InputError, StereoOutput, build_model
 from stereokit.contracts import Distribution, Features, Prediction
-from stereokit.losses import masked_cross_entropy, masked_smooth_l1, stereo_loss, truth_of_cells
+from stereokit.losses import masked_cross_entropy, masked_smooth_l1, named_loss, stereo_loss, truth_of_cells
 from stereokit.metrics import valid_pixels
+from stereokit.registry import LOSSES
 from stereokit.regression.soft_argmin import top_k_soft_argmin
 from stereokit.stage import run_stage
 from tests.strategies import disparities
@@ -44,6 +45,27 @@ def test_gradients_reach_the_known_pixels_alone(disparity, truth):
     assert (disparity.grad[~known] == 0).all()
     # squares of distances from 1e-200 down have no gradient
     assert (disparity.grad[known & ((disparity - truth).abs() > 1e-9)] != 0).all()
+
+
+@pytest.mark.parametrize("name", LOSSES.names())
+@pytest.mark.parametrize("estimate", [math.inf, -math.inf, math.nan, 1e38])
+@pytest.mark.parametrize("unknown", [*UNKNOWN, 192.0])
+def test_what_is_estimated_where_the_truth_is_unknown_has_no_gradient(name, estimate, unknown):
+    truth = torch.tensor([[[20.0, unknown, 7.0]]])
+    disparity = torch.tensor([[[18.0, estimate, 8.0]]], requires_grad=True)
+    logits = torch.zeros(1, 4, 1, 3)
+    logits[0, :, 0, 1] = estimate
+    logits.requires_grad_()
+    prediction = Prediction(disparity, 1, Distribution(logits, stride=1, spacing=8), disparity + 3, 0.25)
+    loss = named_loss(name)(prediction, truth, max_disparity=192)
+    loss.backward()
+    assert loss.isfinite()
+    gradients = [x.grad for x in (disparity, logits) if x.grad is not None]
+    for gradient in gradients:
+        assert gradient.isfinite().all()
+        assert (gradient[..., 1] == 0).all()
+        assert (gradient[..., [0, 2]] != 0).any()
+    assert gradients
 
 
 @pytest.mark.parametrize("unknown", [*UNKNOWN, 192.0, 500.0])

@@ -71,7 +71,8 @@ def test_the_scale_stands_under_the_unchanged_picture(shape):
     left = (picture.shape[1] - shape[1]) // 2
     colours = colorize(disparity, value_range=(0, 100))
     assert np.array_equal(picture[: shape[0], left : left + shape[1]], colours)
-    assert shape[1] < 100 or picture.shape[1] == shape[1]
+    # narrower ones are as wide as their scale
+    assert (picture.shape[1] == shape[1]) == (shape[1] >= 100)
     scale = picture[shape[0] :]
     assert 30 <= scale.shape[0] <= 45 + shape[0] // 4
     dark_rows = np.flatnonzero((scale[20:] < 128).all(axis=2).any(axis=1))

@@ -176,6 +176,7 @@ def test_test_k_counts_in_eval_mode():
     assert_close(module.with_confidence(volume)[1], top_k_mass(volume, 5))
     module.eval()
     assert_close(module(volume), top_k_soft_argmin(volume, 2))
+    assert_close(module.with_confidence(volume)[0], top_k_soft_argmin(volume, 2))
     assert_close(module.with_confidence(volume)[1], top_k_mass(volume, 2))
     assert module.min_levels == 5
     assert TopKSoftArgmin(2, test_k=5).min_levels == 5

@@ -1,3 +1,4 @@
+import sys
 from pathlib import Path
 
 import pytest
@@ -107,7 +108,8 @@ def test_free_memory_is_read_from_the_system(tmp_path: Path) -> None:
     assert _container_available(tmp_path) == 850
     (tmp_path / "memory.max").write_text("max\n")
     assert _container_available(tmp_path) is None
-    assert available_memory() is None or 2**20 < available_memory() < 2**50
+    if sys.platform == "linux":
+        assert 2**20 < available_memory() < 2**50
 
 
 def test_amounts_of_memory() -> None:
