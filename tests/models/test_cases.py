@@ -23,7 +23,13 @@ from tests.shared import needs_shared
 OURS = [name for name in list_models() if name in CASES or build_model(name).__module__.startswith("stereokit.")]
 RECORDED = [name for name, case in CASES.items() if isinstance(case.golden, Golden)]
 
+QUICK = ("coex", "psmnet", "gcnet", "gwcnet_g", "stereonet_8x", "lightstereo_s", "dispnetc", "rt_igev")
+"""One of each kind. The quick run builds, trains and calls every network once, and goes on with these alone."""
+
 every_network = pytest.mark.parametrize("name", OURS)
+every_network_in_time = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in OURS]
+)
 recorded = pytest.mark.parametrize("name", RECORDED)
 
 
@@ -85,7 +91,7 @@ def test_odd_sizes_are_padded_and_cut(name):
     assert output.predictions == ()
 
 
-@every_network
+@every_network_in_time
 def test_a_batch_of_two_is_two_batches_of_one(name):
     case, model = CASES[name], small(name).eval().double()
     left, right = pair(case, batch=2, dtype=torch.float64)
@@ -111,7 +117,7 @@ def test_one_step_of_training_reaches_each_weight(name):
     assert all(p.grad.isfinite().all() for p in model.parameters())
 
 
-@every_network
+@every_network_in_time
 def test_no_known_pixel_is_a_loss_of_zero_with_a_gradient(name):
     case, model = CASES[name], small(name).train()
     left, right = pair(case, batch=2)
@@ -122,7 +128,7 @@ def test_no_known_pixel_is_a_loss_of_zero_with_a_gradient(name):
     assert all((p.grad == 0).all() for p in model.parameters() if p.grad is not None)
 
 
-@every_network
+@every_network_in_time
 def test_it_is_saved_and_loaded(name, tmp_path):
     case, model = CASES[name], small(name).eval()
     model.save_pretrained(tmp_path)
@@ -132,7 +138,7 @@ def test_it_is_saved_and_loaded(name, tmp_path):
         assert_close(again(*images).disparity, model(*images).disparity, rtol=0, atol=0)
 
 
-@every_network
+@every_network_in_time
 def test_what_is_prepared_for_inference_equals_it(name):
     images = pair(CASES[name])
     model = with_statistics(small(name), images)

@@ -106,7 +106,14 @@ SWAPS = [
 ]
 
 
-@pytest.mark.parametrize(("network", "overrides"), SWAPS)
+QUICK = ("coex", "lightstereo_s", "stereonet_8x")
+"""Networks whose swaps are part of the quick run."""
+
+
+@pytest.mark.parametrize(
+    ("network", "overrides"),
+    [pytest.param(*swap, marks=() if swap[0] in QUICK else pytest.mark.slow) for swap in SWAPS],
+)
 def test_a_block_works_in_another_network(network, overrides):
     model = build_model(network, **{"max_disparity": 64, **overrides})
     left, right = torch.rand(2, 2, 3, 64, 96)
