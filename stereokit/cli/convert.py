@@ -6,7 +6,7 @@ from pathlib import Path
 from stereokit.cli.options import add_published_options
 from stereokit.files import check_folder, check_free
 from stereokit.weights.folder import CONFIG_NAME, WEIGHTS_NAME
-from stereokit.weights.published import convert_published
+from stereokit.weights.published import convert_published, published_networks
 
 __all__ = ["add_arguments", "run"]
 
@@ -15,7 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `stereokit convert`."""
     parser.add_argument("checkpoint", help="Lightning checkpoint or bare state dict")
     parser.add_argument("out", help="folder for the network")
-    parser.add_argument("--model", help="name of its network (default: the one whose weights these are)")
+    names = ", ".join(published_networks())
+    parser.add_argument("--model", help=f"its network, {names} (default: the one whose weights these are)")
     add_published_options(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace an existing network")
 
