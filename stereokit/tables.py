@@ -1,8 +1,8 @@
-"""Text tables, and counted nouns."""
+"""Text tables, counted nouns, and shares."""
 
 from dataclasses import dataclass
 
-__all__ = ["Table", "counted"]
+__all__ = ["Table", "counted", "share"]
 
 
 def counted(number: int, noun: str) -> str:
@@ -12,6 +12,15 @@ def counted(number: int, noun: str) -> str:
     ('1 pair', '2,000 pairs')
     """
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def share(part: int | float, whole: int | float) -> str:
+    """A part in percent.
+
+    >>> share(1, 8)
+    '12.5 %'
+    """
+    return f"{100 * part / whole:.1f} %"
 
 
 @dataclass(frozen=True)

@@ -364,7 +364,8 @@ class _Work:
         self, job: BatchJob, predictor: Predictor, made_with: MadeWith, records: Records, staging: Path
     ) -> None:
         self.job = job
-        self.predictor = predictor
+        self.bit_depth = predictor.bit_depth
+        self.predictor = predictor.for_read_views()
         self.made_with = made_with
         self.records = records
         self.staging = staging
@@ -388,7 +389,7 @@ class _Work:
                     f"the result in {printable(self.job.out)} is of other images; choose another folder, or say "
                     "--overwrite (overwrite=True)"
                 )
-        return _Views(*to_pair(pair.left, pair.right), (left, right), again)
+        return _Views(*to_pair(pair.left, pair.right, bit_depth=self.bit_depth), (left, right), again)
 
     def compute(self, turn: int, views: "_Views | MatchedPair") -> "_Computed | MatchedPair":
         if isinstance(views, MatchedPair):

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from stereokit.bench.budget import Budget
 from stereokit.errors import ConfigError
-from stereokit.evaluation.tables import share
 from stereokit.files import atomic_path
 from stereokit.runtime.memory import format_memory
-from stereokit.tables import Table, counted
+from stereokit.tables import Table, counted, share
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

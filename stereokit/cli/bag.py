@@ -46,6 +46,10 @@ def run(options: argparse.Namespace) -> None:
     """
     if not options.tolerance >= 0:
         raise ConfigError(f"--tolerance must be at least 0 seconds, got {options.tolerance}")
+    if (options.min_disparity or 0) < 0:
+        raise ConfigError(
+            f"--min-disparity is {options.min_disparity}, but bags hold disparities from 0 on; give 0 or more"
+        )
     check_folder(Path(options.out).parent)
     topics = Topics(options.left, options.right, options.left_info, options.right_info)
     with StereoBag(options.bag, topics, options.tolerance) as bag:

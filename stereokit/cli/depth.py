@@ -148,12 +148,14 @@ class DepthFiles:
         """That of the rectified pair, from the options or the predictor's rig.
 
         Raises:
-            InputError: it is for images of another size.
+            InputError: it is for images of another size, or one that a cloud needs more of.
         """
         rectification = predictor.rectification
         calibration = self.calibration if rectification is None else rectification.calibration
         assert calibration is not None
         calibration.check_size(*result.size)
+        if self.options.cloud is not None:
+            calibration.known_cy()
         return calibration
 
     def views(
@@ -231,6 +233,8 @@ class DepthFiles:
 
 
 def _match(predictor: Predictor) -> Any:
+    # the views that it gets are read already
+    predictor = predictor.for_read_views()
     return lambda left, right: predictor.match(left, right).disparity
 
 

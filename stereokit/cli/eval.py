@@ -6,21 +6,22 @@ import os
 import shlex
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from stereokit.cli.loading import find_chosen_network, load_predictor
-from stereokit.cli.options import add_predictor_options, add_published_options, network_help
+from stereokit.cli.options import add_bit_depth_option, add_predictor_options, add_published_options, network_help
 from stereokit.data.datasets.dataset import StereoEntry
 from stereokit.data.datasets.opening import open_dataset
-from stereokit.errors import ConfigError, InputError
+from stereokit.errors import ConfigError, InputError, printable
 from stereokit.evaluation.evaluate import Observer, evaluate
 from stereokit.evaluation.matcher import Matcher, NetworkMatcher
 from stereokit.evaluation.report import Report
-from stereokit.evaluation.results import result_paths
-from stereokit.evaluation.sgbm import SGBM_VARIANTS, SemiGlobalMatcher
+from stereokit.evaluation.results import PairLog, result_paths
+from stereokit.evaluation.sgbm import SGBM_VARIANTS
 from stereokit.evaluation.submission import KittiSubmission
 from stereokit.evaluation.tables import format_dataset
 from stereokit.files import check_folder, check_free
@@ -48,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--limit", type=int, metavar="N", help="only the first N pairs of each data set")
     add_predictor_options(parser)
+    add_bit_depth_option(parser)
     parser.add_argument(
         "--batch", type=int, default=1, metavar="N", help="match N pairs of equal size at once (default: 1)"
     )
@@ -85,14 +87,20 @@ def run(options: argparse.Namespace) -> None:
     check_free(result_paths(options.out), overwrite=options.overwrite)
     if len(set(options.data)) < len(options.data):
         raise InputError(f"--data names {', '.join(options.data)}; expected each once")
-    datasets = {spec: open_dataset(spec) for spec in options.data}
+    datasets = {spec: open_dataset(spec, bit_depth=options.bit_depth) for spec in options.data}
     for spec, dataset in datasets.items():
         if options.submission is None and not any(entry.disparity for entry in dataset.entries):
             raise InputError(f"{spec!r} has no ground truth, split {dataset.split!r}: there is nothing to count")
-    observers: list[Observer] = []
+    log = PairLog(options.out, overwrite=options.overwrite)
+    observers: list[Observer] = [log]
     report = None
     if options.report is not None:
-        report = Report(options.report, most=options.report_pairs, overwrite=options.overwrite)
+        report = Report(
+            options.report,
+            most=options.report_pairs,
+            overwrite=options.overwrite,
+            min_disparity=options.min_disparity or 0,
+        )
         observers.append(report)
     if options.submission is not None:
         if len(datasets) > 1:
@@ -105,6 +113,7 @@ def run(options: argparse.Namespace) -> None:
         datasets,
         limit=options.limit,
         max_disparity=options.max_disparity,
+        min_disparity=options.min_disparity or 0,
         batch=options.batch,
         observers=observers,
         progress=_progress,
@@ -116,7 +125,8 @@ def run(options: argparse.Namespace) -> None:
         *evaluation.save(options.out, overwrite=options.overwrite),
         *([report.save(evaluation)] if report else []),
     ]
-    print(f"wrote {', '.join(map(str, written))}")
+    log.finish()
+    print(f"wrote {', '.join(printable(path)[1:-1] for path in written)}")
     if options.submission is not None:
         print(f"wrote {len(evaluation.datasets[0].pairs)} disparity maps into {options.submission}; zip its content")
 
@@ -133,10 +143,10 @@ def _matcher(options: argparse.Namespace) -> Matcher:
         _refuse(name, options, "search_range")
         return _own_function(name)
     if name in SGBM_VARIANTS:
-        variant = SGBM_VARIANTS[name]
-        if options.search_range is None:
-            return variant
-        return SemiGlobalMatcher(paths=variant.paths, fill=variant.fill, search_range=options.search_range)
+        given = {
+            name: value for name in ("search_range", "min_disparity") if (value := getattr(options, name)) is not None
+        }
+        return replace(SGBM_VARIANTS[name], **given)
     if name not in list_models():
         raise ConfigError(f"unknown model {name!r}; {suggest(name, [*list_models(), *SGBM_VARIANTS])}")
     _refuse(name, options, "search_range")

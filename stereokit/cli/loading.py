@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["check_published_options", "find_chosen_network", "load_chosen_network", "load_predictor"]
 
-PREDICTOR_SETTINGS = ("precision", "max_memory", "too_large", "scale", "rig")
+PREDICTOR_SETTINGS = ("precision", "max_memory", "too_large", "scale", "rig", "min_disparity")
 
 
 def find_chosen_network(options: argparse.Namespace) -> NetworkPlace:
@@ -46,7 +46,7 @@ def load_chosen_network(options: argparse.Namespace) -> "StereoNetwork":
     return _open_published(options, place, settings) if place.kind == "published" else load_network(place, **settings)
 
 
-def load_predictor(options: argparse.Namespace) -> Predictor:
+def load_predictor(options: argparse.Namespace, *, bit_depth: int | None = None) -> Predictor:
     """What runs the network of `load_chosen_network`, or an exported file, as the predictor's own options say.
 
     Raises:
@@ -56,7 +56,7 @@ def load_predictor(options: argparse.Namespace) -> Predictor:
     given = _settings(options, place)
     opened = _open_published(options, place, given) if place.kind == "published" else open_network(place, **given)
     settings = {name: value for name in PREDICTOR_SETTINGS if (value := getattr(options, name, None)) is not None}
-    return Predictor(opened, options.device, options.backend, **settings)
+    return Predictor(opened, options.device, options.backend, bit_depth=bit_depth, **settings)
 
 
 def check_published_options(options: argparse.Namespace) -> None:

@@ -8,7 +8,7 @@ from stereokit.inference.bounds import TooLarge
 from stereokit.runtime.precision import DTYPES
 from stereokit.weights.opening import BareName
 
-__all__ = ["DEVICE_HELP", "add_predictor_options", "add_published_options", "network_help"]
+__all__ = ["DEVICE_HELP", "add_bit_depth_option", "add_predictor_options", "add_published_options", "network_help"]
 
 DEVICE_HELP = "cpu, cuda, ... (default: a GPU if there is one)"
 
@@ -62,4 +62,20 @@ def add_predictor_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         help="match at this part of the resolution, at most 8: 0.5 finds disparities twice as large and less detail, 2 "
         "finer detail and disparities half as large (default: 1)",
+    )
+    parser.add_argument(
+        "--min-disparity",
+        type=int,
+        metavar="PX",
+        help="the smallest disparity that is looked for, such as -32 for cameras that are toed in (default: 0)",
+    )
+
+
+def add_bit_depth_option(parser: argparse.ArgumentParser) -> None:
+    """What images of 16 bits per sample do not tell."""
+    parser.add_argument(
+        "--bit-depth",
+        type=int,
+        metavar="BITS",
+        help="of the cameras, where images of 16 bits hold fewer: 12 for values up to 4095",
     )

@@ -15,13 +15,14 @@ from stereokit.cli import video
 from stereokit.cli.confidence import noise_warning
 from stereokit.cli.depth import DepthFiles, add_depth_options
 from stereokit.cli.loading import load_predictor
-from stereokit.cli.options import add_predictor_options, add_published_options, network_help
+from stereokit.cli.options import add_bit_depth_option, add_predictor_options, add_published_options, network_help
 from stereokit.data.inputs import to_pair
 from stereokit.data.pairs import ImagePair, match_pairs
 from stereokit.errors import ConfigError, InputError, StereoKitError
 from stereokit.files import check_folder, check_free
 from stereokit.inference import Predictor, output_paths
-from stereokit.tables import counted
+from stereokit.inference.predictor import advice
+from stereokit.tables import counted, share
 
 __all__ = ["add_arguments", "run"]
 
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_published_options(parser)
     parser.add_argument("--out", default="disparity", help="folder for the results (default: %(default)s)")
     add_predictor_options(parser)
+    add_bit_depth_option(parser)
     add_depth_options(parser)
     video.add_video_options(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace existing results")
@@ -64,6 +66,10 @@ def run(options: argparse.Namespace) -> None:
     """
     if video.is_video_call(options):
         _refuse_options_for_many(options, "a video")
+        if options.bit_depth is not None:
+            raise ConfigError("--bit-depth has no effect on a video, which has 8 bits per sample; leave it out")
+        if options.min_disparity:
+            raise ConfigError("--min-disparity is for images alone, not for a video; leave it out, or give images")
         video.run(options)
         return
     pairs = match_pairs(options.left, options.right)
@@ -81,8 +87,9 @@ def _predict_one(pair: ImagePair, options: argparse.Namespace, depth: DepthFiles
     out = Path(options.out)
     paths = output_paths(out, pair.name)
     check_free([*paths, *(out / name for name in depth.names(pair.name))], overwrite=options.overwrite)
-    predictor = load_predictor(options)
-    views = to_pair(pair.left, pair.right)
+    predictor = load_predictor(options, bit_depth=options.bit_depth)
+    views = to_pair(pair.left, pair.right, bit_depth=options.bit_depth)
+    predictor = predictor.for_read_views()
     result = predictor(*views)
     computed = depth.compute(predictor, *views, result)
     written = result.save_all(out, pair.name, overwrite=options.overwrite)
@@ -96,6 +103,7 @@ def _predict_one(pair: ImagePair, options: argparse.Namespace, depth: DepthFiles
         seconds=result.seconds,
         preparation_seconds=result.preparation_seconds,
         device=str(predictor.device),
+        precision=predictor.backend.precision,
         rectified=predictor.rectification is not None,
     )
     for line in depth.write(out, pair.name, result, computed):
@@ -156,6 +164,7 @@ def _say_matched(outcome: MatchedPair, options: argparse.Namespace) -> None:
         seconds=record.seconds or 0.0,
         preparation_seconds=outcome.preparation_seconds,
         device=record.settings["device"],
+        precision=record.settings["precision"],
         rectified=options.rig is not None,
     )
     for line in outcome.notes:
@@ -173,13 +182,14 @@ def _say(
     seconds: float,
     preparation_seconds: float,
     device: str,
+    precision: str,
     rectified: bool,
 ) -> None:
     """What became of a pair, in lines."""
     height, width = size
     if invalid:
-        why = "were not seen by both cameras" if rectified else "have no finite disparity"
-        tqdm.write(f"{name}: {invalid} pixels {why}", file=sys.stderr)
+        why = "were not seen by both cameras" if rectified else f"have no finite disparity, {advice(precision, device)}"
+        tqdm.write(f"{name}: {invalid} pixels ({share(invalid, height * width)}) {why}", file=sys.stderr)
     if preparation_seconds >= 0.05:
         tqdm.write(f"{name}: made ready for {width} x {height} px in {preparation_seconds:.1f} s")
     tqdm.write(
@@ -217,7 +227,7 @@ class _Opening:
         options = self.options
         if device is not None:
             options = argparse.Namespace(**{**vars(options), "device": device})
-        return load_predictor(options)
+        return load_predictor(options, bit_depth=options.bit_depth)
 
 
 def _devices(device: str) -> list[str]:

@@ -10,7 +10,15 @@ import numpy.typing as npt
 from stereokit.data.images import MAX_BYTES, MAX_PIXELS
 from stereokit.errors import InputError, printable
 
-__all__ = ["Disparity", "PathLike", "check_claimed_size", "doubts", "to_disparity", "unknown_to_nan"]
+__all__ = [
+    "Disparity",
+    "PathLike",
+    "check_claimed_size",
+    "doubts",
+    "doubts_of_prediction",
+    "to_disparity",
+    "unknown_to_nan",
+]
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
 
@@ -62,6 +70,21 @@ def check_claimed_size(path: PathLike, shape: tuple[int, ...], sample_bytes: int
         raise InputError(
             f"{claimed} of {sample_bytes} bytes; expected at most {MAX_BYTES // 2**20} MiB in all: save it as float32"
         )
+
+
+def doubts_of_prediction(disparity: npt.NDArray[Any]) -> str | None:
+    """What is odd about disparity that a matcher gave, or None; see `doubts`, which this asks first.
+
+    >>> doubts_of_prediction(np.array([[3, 4]], np.uint8))
+    'whole numbers (uint8): if they stand for another unit than pixels, or were cut off, give floating-point pixels'
+    """
+    odd = doubts(disparity)
+    if odd is None and disparity.dtype.kind in "iu":
+        return (
+            f"whole numbers ({disparity.dtype}): if they stand for another unit than pixels, or were cut off, give "
+            "floating-point pixels"
+        )
+    return odd
 
 
 def doubts(disparity: npt.NDArray[Any]) -> str | None:

@@ -3,7 +3,7 @@
 from stereokit.evaluation.evaluate import Observer, evaluate
 from stereokit.evaluation.matcher import BatchMatcher, Matcher, NetworkMatcher, describe_matcher
 from stereokit.evaluation.report import Report
-from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
+from stereokit.evaluation.results import DatasetResult, Evaluation, PairLog, PairResult
 from stereokit.evaluation.sgbm import SGBM_VARIANTS, SemiGlobalMatcher, fill_from_background
 from stereokit.evaluation.submission import KittiSubmission
 
@@ -16,6 +16,7 @@ __all__ = [
     "Matcher",
     "NetworkMatcher",
     "Observer",
+    "PairLog",
     "PairResult",
     "Report",
     "SemiGlobalMatcher",

@@ -2,22 +2,25 @@
 
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from datetime import datetime, timezone
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry, StereoSample
 from stereokit.data.datasets.opening import open_dataset
-from stereokit.data.disparity_arrays import Disparity
+from stereokit.data.disparity_arrays import Disparity, doubts_of_prediction
 from stereokit.data.inputs import as_array
 from stereokit.errors import ConfigError, InputError, StereoKitError
 from stereokit.evaluation.matcher import BatchMatcher, Matcher, describe_matcher
 from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
-from stereokit.metrics import StereoMetrics
+from stereokit.metrics import PixelCounts, StereoMetrics, count_pixels
 from stereokit.runtime.clock import synchronised_clock
 from stereokit.runtime.provenance import machine, versions
+from stereokit.tables import counted
 
 __all__ = ["Observer", "evaluate"]
 
@@ -33,6 +36,7 @@ def evaluate(
     *,
     limit: int | None = None,
     max_disparity: float | None = None,
+    min_disparity: float = 0,
     taus: Sequence[float] = (1.0, 2.0, 3.0),
     batch: int = 1,
     warmup: int = 1,
@@ -51,6 +55,8 @@ def evaluate(
         datasets: "KIND:ROOT" each, as `open_dataset` takes it; or opened ones by any name.
         limit: only the first so many pairs of each data set.
         max_disparity: ceiling of the ground truth, exclusive, in pixels. None counts every known pixel.
+        min_disparity: floor of the ground truth in pixels, see `stereokit.metrics.valid_pixels`; the matcher is told
+            by itself (`Predictor`).
         taus: thresholds of bad-tau, in pixels.
         batch: how many pairs of equal size are matched at once. Above 1 it takes a `BatchMatcher`.
         warmup: how often the first pair of each data set is matched before the clock starts.
@@ -87,7 +93,7 @@ def evaluate(
     if len(set(datasets)) < len(datasets):
         raise InputError(f"the data sets are {', '.join(datasets)}; expected each once")
     opened = datasets if isinstance(datasets, Mapping) else {spec: open_dataset(spec) for spec in datasets}
-    rules = StereoMetrics(taus=taus, max_disparity=max_disparity)
+    rules = StereoMetrics(taus=taus, max_disparity=max_disparity, min_disparity=min_disparity)
     # first, since it may fail
     model = describe_matcher(matcher)
     started = datetime.now(timezone.utc).isoformat(timespec="seconds")
@@ -95,16 +101,24 @@ def evaluate(
     for name, dataset in opened.items():
         chosen = dataset[:limit]
         pairs: dict[str, PairResult] = {}
-        total = StereoMetrics(taus=rules.taus, max_disparity=rules.max_disparity)
+        total = StereoMetrics(**rules.settings())
+        truth, odd = PixelCounts(), list[str]()
         for samples in _batches(progress(chosen.entries, name), batch):
             if not pairs:
                 for _ in range(warmup):
                     _match(matcher, samples)
             predictions, seconds = _match(matcher, samples)
+            # negative ones were asked for
+            odd += filter(None, map(doubts_of_prediction, predictions if min_disparity >= 0 else ()))
+            predictions = [prediction.astype(np.float32) for prediction in predictions]
             for sample, prediction in zip(samples, predictions, strict=True):
-                row = StereoMetrics(taus=rules.taus, max_disparity=rules.max_disparity)
+                row = StereoMetrics(**rules.settings())
                 pair = _pair_result(sample, prediction, seconds / len(samples), row)
                 total.merge(row)
+                if sample.disparity is not None:
+                    truth += count_pixels(
+                        sample.disparity, max_disparity=rules.max_disparity, min_disparity=rules.min_disparity
+                    )
                 pairs[sample.name] = pair
                 for observer in observers:
                     observer(name, sample, prediction, pair)
@@ -117,19 +131,20 @@ def evaluate(
                 available=len(dataset),
                 metrics=total.compute(),
                 median_seconds=statistics.median(pair.seconds for pair in pairs.values()),
+                truth_pixels=asdict(truth),
+                doubt=f"{counted(len(odd), 'pair')}: {odd[0]}" if odd else None,
                 pairs=tuple(pairs[entry.name] for entry in chosen.entries),
             )
         )
     return Evaluation(
         model=model,
         settings={
-            "taus": list(rules.taus),
-            "max_disparity": rules.max_disparity,
+            **rules.settings(),
             "limit": limit,
             "batch": batch,
             "warmup": warmup,
         },
-        masks=_mask_rules(rules.max_disparity),
+        masks=_mask_rules(rules),
         machine=machine(),
         versions=versions(),
         started=started,
@@ -153,7 +168,7 @@ def _batches(entries: Iterable[StereoEntry], batch: int) -> Iterator[list[Stereo
     yield from waiting.values()
 
 
-def _match(matcher: Matcher, samples: Sequence[StereoSample]) -> tuple[list[Disparity], float]:
+def _match(matcher: Matcher, samples: Sequence[StereoSample]) -> tuple[list[npt.NDArray[Any]], float]:
     """The disparities of samples of one size, and the seconds for all of them."""
     start = synchronised_clock()
     try:
@@ -177,7 +192,7 @@ def _match(matcher: Matcher, samples: Sequence[StereoSample]) -> tuple[list[Disp
     return [_checked(array, sample) for array, sample in zip(arrays, samples, strict=True)], seconds
 
 
-def _checked(prediction: Any, sample: StereoSample) -> Disparity:
+def _checked(prediction: npt.NDArray[Any], sample: StereoSample) -> npt.NDArray[Any]:
     height, width = sample.left.shape[:2]
     if prediction.dtype.kind not in "fiu":
         raise InputError(f"pair {sample.name!r}: the matcher gave {prediction.dtype}; expected disparity in pixels")
@@ -186,8 +201,7 @@ def _checked(prediction: Any, sample: StereoSample) -> Disparity:
             f"pair {sample.name!r}: the matcher gave a map of shape {prediction.shape}; "
             f"expected that of the images, {(height, width)}"
         )
-    disparity: Disparity = prediction.astype(np.float32)
-    return disparity
+    return prediction
 
 
 def _pair_result(sample: StereoSample, prediction: Disparity, seconds: float, row: StereoMetrics) -> PairResult:
@@ -205,10 +219,11 @@ def _pair_result(sample: StereoSample, prediction: Disparity, seconds: float, ro
     return PairResult(sample.name, width, height, seconds, invalid, metrics)
 
 
-def _mask_rules(max_disparity: float | None) -> dict[str, str]:
-    ceiling = "" if max_disparity is None else f" and below {max_disparity:g} px"
+def _mask_rules(rules: StereoMetrics) -> dict[str, str]:
+    floor = f"at least {rules.min_disparity:g} px" if rules.min_disparity else "above 0"
+    ceiling = "" if rules.max_disparity is None else f" and below {rules.max_disparity:g} px"
     return {
-        "counted": f"pixels whose ground truth is finite and above 0{ceiling}; sparse truth is never interpolated",
+        "counted": f"pixels whose ground truth is finite and {floor}{ceiling}; sparse truth is never interpolated",
         "noc": "counted pixels where the data set's non-occlusion mask is set",
         "occ": "counted pixels where it is not",
         "fg": "counted pixels whose object map is above 0",

@@ -10,6 +10,8 @@ import torch
 from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.inputs import to_pair
 from stereokit.inference import Predictor
+from stereokit.inference.predictor import check_finite
+from stereokit.inference.shifting import shift_right
 from stereokit.runtime.memory import running_out_as
 from stereokit.runtime.provenance import file_sha256
 from stereokit.weights.opening import NetworkPlace, find_network
@@ -73,15 +75,20 @@ class NetworkMatcher:
             results = [self.predictor(left, right) for left, right in zip(lefts, rights, strict=True)]
             self.preparation_seconds = sum(result.preparation_seconds for result in results)
             return [result.disparity for result in results]
-        pairs = [to_pair(left, right) for left, right in zip(lefts, rights, strict=True)]
+        depth = self.predictor.bit_depth
+        pairs = [to_pair(left, right, bit_depth=depth) for left, right in zip(lefts, rights, strict=True)]
         left, right = (torch.cat(views) for views in zip(*pairs, strict=True))
         height, width = left.shape[-2:]
+        right = shift_right(right, self.predictor.min_disparity)
         with running_out_as(
             f"{len(pairs)} pairs of {width} x {height} pixels at once do not fit into the memory of "
             f"{self.predictor.device}; choose a smaller --batch, or --device cpu"
         ):
             self.preparation_seconds = self.predictor.backend.prepare(left, right)
-            return list(self.predictor.backend(left, right).disparity)
+            disparities = self.predictor.backend(left, right).disparity
+        for disparity in disparities:
+            check_finite(disparity, self.predictor.backend)
+        return list(disparities + self.predictor.min_disparity)
 
     def describe(self) -> dict[str, Any]:
         """The network's configuration and weights, and what ran it, in plain JSON."""

@@ -9,11 +9,11 @@ from string import Template
 from typing import Any
 
 from stereokit.evaluation.results import DatasetResult, Evaluation, PairResult
-from stereokit.evaluation.tables import NOTHING, dataset_table, notes, pair_table, share
+from stereokit.evaluation.tables import NOTHING, dataset_table, notes, pair_table
 from stereokit.pictures import KITTI_ERROR_COLORS
 from stereokit.pictures.errors import NO_PREDICTION_COLOR
 from stereokit.pictures.page import Figure, figures, page, table
-from stereokit.tables import counted
+from stereokit.tables import counted, share
 
 __all__ = ["Card", "evaluation_page"]
 

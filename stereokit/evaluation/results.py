@@ -4,13 +4,16 @@ import csv
 import io
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from stereokit.data.datasets.dataset import StereoSample
+from stereokit.data.disparity_arrays import Disparity
+from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path, check_free, make_folder
 
-__all__ = ["DatasetResult", "Evaluation", "Metrics", "PairResult", "result_paths"]
+__all__ = ["DatasetResult", "Evaluation", "Metrics", "PairLog", "PairResult", "result_paths"]
 
 Metrics: TypeAlias = dict[str, float | int | None]
 """Results by the names of `StereoMetrics.compute`."""
@@ -45,6 +48,8 @@ class DatasetResult:
         kind, root, split: of the data set; `root` is absolute.
         available: how many pairs it has; `pairs` are the first ones of them.
         metrics: over all pairs with ground truth.
+        truth_pixels: of the ground truth, by the rule of `stereokit.metrics.count_pixels` that each falls under.
+        doubt: what is odd about the predictions, most likely another unit or sign than pixels; None where nothing is.
         median_seconds: the median time per pair.
         pairs: in the order of the data set.
     """
@@ -57,6 +62,8 @@ class DatasetResult:
     metrics: Metrics
     median_seconds: float
     pairs: tuple[PairResult, ...]
+    truth_pixels: dict[str, int] = field(default_factory=dict)
+    doubt: str | None = None
 
 
 @dataclass(frozen=True)
@@ -132,6 +139,48 @@ class Evaluation:
         return paths
 
 
+class PairLog:
+    """Writes the numbers of each pair as soon as they are known: an observer of `evaluate`.
+
+    One line of JSON for each pair, in the order in which they were matched. It is what an evaluation that is ended
+    before its time leaves; `finish` removes it when the files of `Evaluation.save` are there.
+
+    Args:
+        folder: is made with the first pair.
+        overwrite: replace what an evaluation before left.
+
+    Raises:
+        InputError: there is one already.
+
+    >>> import tempfile
+    >>> PairLog(tempfile.mkdtemp()).path.name
+    'pairs.part.jsonl'
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        self.path = Path(folder) / "pairs.part.jsonl"
+        self._begun = False
+        check_free([self.path], overwrite=overwrite)
+
+    def __call__(self, dataset: str, sample: StereoSample, prediction: Disparity, result: PairResult) -> None:
+        """Adds a line.
+
+        Raises:
+            InputError: it can't be written.
+        """
+        make_folder(self.path.parent)
+        try:
+            with open(self.path, "a" if self._begun else "w", encoding="utf-8") as file:
+                file.write(json.dumps({"dataset": dataset, **asdict(result)}) + "\n")
+        except OSError as error:
+            raise InputError(f"{printable(self.path)} can't be written: {error.strerror or error}") from error
+        self._begun = True
+
+    def finish(self) -> None:
+        """Removes the file."""
+        self.path.unlink(missing_ok=True)
+
+
 def result_paths(folder: str | os.PathLike[str]) -> list[Path]:
     """The files of an evaluation: everything as JSON, and a row per data set and per pair as CSV.
 
@@ -146,11 +195,19 @@ def _of_one_image(metrics: Metrics) -> Metrics:
     return {k: v for k, v in metrics.items() if not k.endswith("_per_image") and not k.startswith("images")}
 
 
+def _cell(value: Any) -> Any:
+    """A value as a cell: text that is printable, and that a spreadsheet takes for no formula."""
+    if not isinstance(value, str):
+        return value
+    text = printable(value, most=1000)[1:-1]
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+
+
 def _csv(rows: list[dict[str, Any]]) -> str:
     """A table with all columns that occur; what a row does not have is empty."""
     columns = list(dict.fromkeys(column for row in rows for column in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({column: _cell(value) for column, value in row.items()} for row in rows)
     return text.getvalue()

@@ -11,6 +11,7 @@ from stereokit.data.disparity_arrays import Disparity
 from stereokit.data.images import to_uint8
 from stereokit.errors import ConfigError, InputError
 from stereokit.evaluation.matcher import Image
+from stereokit.inference.shifting import checked_min_disparity
 
 __all__ = ["SGBM_VARIANTS", "SemiGlobalMatcher", "fill_from_background"]
 
@@ -37,6 +38,7 @@ class SemiGlobalMatcher:
         fill: whether holes are filled, see `fill_from_background`; otherwise they are NaN.
         search_range: disparities 0 <= d < search_range are tried; is rounded up to a multiple of 16.
         block_size: b, odd.
+        min_disparity: m, a whole number of pixels; m <= d < m + search_range are tried then.
 
     Raises:
         ConfigError: arguments outside these values.
@@ -55,12 +57,14 @@ class SemiGlobalMatcher:
     fill: bool = True
     search_range: int = 192
     block_size: int = 3
+    min_disparity: int = 0
 
     def __post_init__(self) -> None:
         if self.paths not in (5, 8):
             raise ConfigError(f"paths is {self.paths}; OpenCV's semi-global matcher has 5 or 8")
         if self.search_range < 1:
             raise ConfigError(f"search_range is {self.search_range}; expected at least 1 px")
+        checked_min_disparity(self.min_disparity)
         if self.block_size < 1 or self.block_size % 2 == 0:
             raise ConfigError(f"block_size is {self.block_size}; expected an odd number of pixels, such as 3 or 5")
 
@@ -80,10 +84,15 @@ class SemiGlobalMatcher:
         if left.shape != right.shape:
             raise InputError(f"the left image has shape {left.shape}, the right one {right.shape}; expected one shape")
         levels = -(-self.search_range // 16) * 16
-        views = [cv2.copyMakeBorder(to_uint8(view), 0, 0, levels, 0, cv2.BORDER_REPLICATE) for view in (left, right)]
+        # OpenCV leaves out columns on the right too where disparities may be negative
+        before, after = levels + max(self.min_disparity, 0), max(-self.min_disparity, 0)
+        width = left.shape[1]
+        views = [
+            cv2.copyMakeBorder(to_uint8(view), 0, 0, before, after, cv2.BORDER_REPLICATE) for view in (left, right)
+        ]
         area = CHANNELS * self.block_size**2
         matcher = cv2.StereoSGBM.create(
-            minDisparity=0,
+            minDisparity=self.min_disparity,
             numDisparities=levels,
             blockSize=self.block_size,
             P1=P1_FACTOR * area,
@@ -95,8 +104,11 @@ class SemiGlobalMatcher:
             speckleRange=2,
             mode=cv2.STEREO_SGBM_MODE_HH if self.paths == 8 else cv2.STEREO_SGBM_MODE_SGBM,
         )
-        steps = matcher.compute(*views)[:, levels:]
-        disparity = np.where(steps < 0, np.nan, steps / np.float32(SUBPIXELS)).astype(np.float32)
+        steps = matcher.compute(*views)[:, before : before + width]
+        # what OpenCV finds no match for is one step below the range
+        disparity = np.where(steps < self.min_disparity * SUBPIXELS, np.nan, steps / np.float32(SUBPIXELS)).astype(
+            np.float32
+        )
         return fill_from_background(disparity) if self.fill else disparity
 
     def describe(self) -> dict[str, Any]:

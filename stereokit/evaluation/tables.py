@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
+from stereokit.errors import printable
 from stereokit.evaluation.results import DatasetResult, PairResult
-from stereokit.metrics import KITTI_METRICS
-from stereokit.tables import Table, counted
+from stereokit.metrics import KITTI_METRICS, PixelCounts
+from stereokit.tables import Table, counted, share
 
-__all__ = ["benchmark_line", "dataset_table", "format_dataset", "notes", "pair_table", "share"]
+__all__ = ["benchmark_line", "dataset_table", "format_dataset", "notes", "pair_table"]
 
 REGION_NAMES = {
     "": "all",
@@ -36,7 +37,7 @@ def pair_table(pairs: Sequence[PairResult], taus: Sequence[float]) -> Table:
     measures = _measures(taus)
     rows = tuple(
         (
-            pair.name,
+            printable(pair.name)[1:-1],
             f"{pair.width} x {pair.height}",
             *(_number(pair.metrics[name]) if pair.metrics else "" for name in measures),
             f"{pair.metrics['pixels']:,}" if pair.metrics else "no ground truth",
@@ -59,6 +60,12 @@ def notes(result: DatasetResult) -> list[str]:
             f"{everywhere:,} predicted pixels are not finite; of the {pixels:,} counted ones {invalid:,}"
             f"{f' ({share(invalid, pixels)})' if pixels else ''}: bad at every threshold, and not in EPE"
         )
+    counts = PixelCounts(**result.truth_pixels)
+    if dropped := counts.dropped():
+        rules = ", ".join(f"{share(number, counts.known)} {rule}" for rule, number in dropped.items())
+        lines.append(f"of the ground truth's {counts.known:,} values {counts.valid:,} count: {rules} do not")
+    if result.doubt:
+        lines.append(f"predictions of {result.doubt}")
     without = sum(pair.metrics is None for pair in result.pairs)
     if without:
         lines.append(f"{without} of {len(result.pairs)} pairs have no ground truth")
@@ -80,19 +87,10 @@ def benchmark_line(result: DatasetResult) -> str:
 
 def format_dataset(result: DatasetResult, taus: Sequence[float]) -> str:
     """A data set's heading, table and notes, as lines of text."""
-    pairs = counted(len(result.pairs), "pair")
-    heading = f"{result.name}: split {result.split}, {pairs}, median {result.median_seconds:.3f} s per pair"
+    name, pairs = printable(result.name)[1:-1], counted(len(result.pairs), "pair")
+    heading = f"{name}: split {result.split}, {pairs}, median {result.median_seconds:.3f} s per pair"
     table = str(dataset_table(result, taus))
     return "\n".join([heading, *(f"  {line}" for line in [*table.splitlines(), *notes(result)])])
-
-
-def share(part: int | float, whole: int | float) -> str:
-    """A part in percent.
-
-    >>> share(1, 8)
-    '12.5 %'
-    """
-    return f"{100 * part / whole:.1f} %"
 
 
 def _measures(taus: Sequence[float]) -> list[str]:

@@ -1,5 +1,6 @@
 """A network made ready to be used on single pairs."""
 
+import copy
 import hashlib
 import os
 import time
@@ -7,6 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -16,6 +18,7 @@ from stereokit.backends.opening import check_backend, open_backend
 from stereokit.cameras.rectification import Rectification, rectify
 from stereokit.cameras.rig import Rig, read_rig
 from stereokit.contracts import StereoOutput
+from stereokit.data.bit_depth import check_bit_depth
 from stereokit.data.inputs import ImageLike, to_pair
 from stereokit.errors import ConfigError, InputError
 from stereokit.inference.bounds import TooLarge
@@ -23,13 +26,14 @@ from stereokit.inference.distributions import Distributions, find_distributions
 from stereokit.inference.planning import MemoryPlanner
 from stereokit.inference.result import DisparityResult
 from stereokit.inference.scaling import MAX_SCALE, match_scaled, scale_images, scaled_size
+from stereokit.inference.shifting import checked_min_disparity, shift_right
 from stereokit.network import check_least_size
 from stereokit.runtime.device import choose_device
 from stereokit.runtime.memory import MemorySize
 from stereokit.runtime.provenance import state_sha256
 from stereokit.weights.opening import find_network, open_network
 
-__all__ = ["Predictor"]
+__all__ = ["Predictor", "advice", "check_finite"]
 
 
 class Predictor:
@@ -56,11 +60,17 @@ class Predictor:
         rig: the cameras, or their file, where the views come as these took them: they are rectified first, see
             `rectified`, and what either camera did not see becomes NaN in the disparity. The calibration of the
             rectified pair is `predict.rectification.calibration`.
+        min_disparity: the smallest disparity that is looked for, a whole number of pixels of the images as they are
+            given: below 0 for cameras that are toed in and for satellites, above 0 where all is near. Disparities are
+            found from there up to max_disparity / scale more.
+        bit_depth: the bits of the camera, where images hold them in 16-bit or floating-point samples: 12 for values up
+            to 4095.
 
     Raises:
         ConfigError: the device or the backend is unknown, absent, or not for this model; limits of memory for an
-            exported file of one size alone; tiles of a network without `max_disparity`; or a scale that is not
-            above 0 and at most 8.
+            exported file of one size alone; tiles of a network without `max_disparity`; a scale that is not above 0
+            and at most 8; or a `min_disparity` that is no whole number.
+        InputError: a bit depth that is not from 1 to 16.
         CheckpointError: there is no network at this place, or it can't be used.
         InputError: a rig that can't be read or rectified.
 
@@ -81,6 +91,8 @@ class Predictor:
         too_large: TooLarge = "error",
         scale: float = 1.0,
         rig: "Rig | str | os.PathLike[str] | None" = None,
+        min_disparity: int = 0,
+        bit_depth: int | None = None,
     ) -> None:
         if not isinstance(scale, int | float | np.floating | np.integer) or not 0 < scale <= MAX_SCALE:
             raise ConfigError(
@@ -89,6 +101,9 @@ class Predictor:
         self.rectification: Rectification | None = None
         if rig is not None:
             self.rectification = rectify(rig if isinstance(rig, Rig) else read_rig(rig))
+        self.min_disparity = checked_min_disparity(min_disparity)
+        check_bit_depth(bit_depth)
+        self.bit_depth = bit_depth
         check_backend(backend)
         place = None if isinstance(model, nn.Module) else find_network(model)
         if place is None or place.kind != "exported":
@@ -136,6 +151,10 @@ class Predictor:
         }
         if not self.whole:
             parts["limits"] = {"scale": self.scale, **self.limits}
+        if self.min_disparity:
+            parts["min_disparity"] = self.min_disparity
+        if self.bit_depth is not None:
+            parts["bit_depth"] = self.bit_depth
         if self.rectification is not None:
             digest = hashlib.sha256()
             for view in (self.rectification.left_map, self.rectification.right_map):
@@ -154,12 +173,19 @@ class Predictor:
             right: likewise, of the same size.
 
         Raises:
-            InputError: an image that can't be used, or views of another size than the rig's; the message says why.
+            InputError: an image that can't be used, views of another size than the rig's, or a network that gives
+                nothing finite; the message says why.
         """
+        result = self._match(*self.rectified(left, right))
         if self.rectification is None:
-            return self.match(left, right)
-        result = self.match(*self.rectified(left, right))
+            return result
         return result.masked(self.rectification.seen(result.disparity))
+
+    def for_read_views(self) -> "Predictor":
+        """The same, for views that `to_pair` has read already by the bit depth, so that it is not applied again."""
+        other = copy.copy(self)
+        other.bit_depth = None
+        return other
 
     def rectified(self, left: ImageLike, right: ImageLike) -> tuple[Tensor, Tensor]:
         """The pair that is matched, two (1, 3, H, W): rectified where there is a rig, else as it is.
@@ -167,7 +193,7 @@ class Predictor:
         Raises:
             InputError: see `__call__`.
         """
-        pair = to_pair(left, right)
+        pair = to_pair(left, right, bit_depth=self.bit_depth)
         if self.rectification is None:
             return pair
         first, second = self.rectification(*(view[0].permute(1, 2, 0).numpy() for view in pair))
@@ -179,8 +205,11 @@ class Predictor:
         Raises:
             InputError: see `__call__`.
         """
-        left, right = to_pair(left, right)
+        return self._match(*to_pair(left, right, bit_depth=self.bit_depth))
+
+    def _match(self, left: Tensor, right: Tensor) -> DisparityResult:
         check_least_size(*left.shape[-2:])
+        right = shift_right(right, self.min_disparity)
         start = time.perf_counter()
         run = _TimedBackend(self.backend)
         size = scaled_size((left.shape[-2], left.shape[-1]), self.scale)
@@ -198,7 +227,9 @@ class Predictor:
         preparation = planning + run.preparation_seconds
         seconds = time.perf_counter() - start - preparation
         confidence = None if output.confidence is None else output.confidence[0].cpu().numpy()
-        return DisparityResult(output.disparity[0].cpu().numpy(), confidence, seconds, preparation)
+        disparity = output.disparity[0].cpu().numpy() + self.min_disparity
+        check_finite(disparity, self.backend)
+        return DisparityResult(disparity, confidence, seconds, preparation)
 
     def distributions(self, left: ImageLike, right: ImageLike) -> Distributions:
         """What the network says about all candidates of a pair that is rectified, from which the disparity comes.
@@ -211,7 +242,7 @@ class Predictor:
 
         Raises:
             InputError: an image that can't be used, or a pair that does not fit into the memory as a whole.
-            ConfigError: the network has no distribution, or an exported file is run.
+            ConfigError: the network has no distribution, an exported file is run, or `min_disparity` is not 0.
 
         >>> predict = Predictor("coex", device="cpu")
         >>> found = predict.distributions(*np.zeros((2, 50, 70, 3), np.uint8)).at([20], [30])
@@ -219,7 +250,11 @@ class Predictor:
         2
         """
         network = self.model
-        left, right = to_pair(left, right)
+        if self.min_disparity:
+            raise ConfigError(
+                f"distributions begin at disparity 0, and min_disparity is {self.min_disparity}; leave it out"
+            )
+        left, right = to_pair(left, right, bit_depth=self.bit_depth)
         given = (left.shape[-2], left.shape[-1])
         check_least_size(*given)
         size = scaled_size(given, self.scale)
@@ -233,6 +268,27 @@ class Predictor:
         if self.scale != 1:
             views = [scale_images(view, size) for view in views]
         return find_distributions(network, views[0], views[1], size=given)
+
+
+def check_finite(disparity: npt.NDArray[Any], backend: Backend) -> None:
+    """Refuses what a network made of a pair where no pixel of it is finite.
+
+    Raises:
+        InputError: it is so; the message names the precision, which is mostly what did it.
+    """
+    if not np.isfinite(disparity).any():
+        raise InputError(
+            f"the network gave no finite disparity at any pixel, {advice(backend.precision, str(backend.device))}"
+        )
+
+
+def advice(precision: str, device: str) -> str:
+    """What to do about disparities that are not finite."""
+    if precision == "float16":
+        return (
+            f"in float16 on {device}, whose numbers end at 65504: use precision 'bfloat16' or 'float32' (--precision)"
+        )
+    return f"in {precision} on {device}: its weights or its arithmetic hold NaN or infinity"
 
 
 class _TimedBackend:

@@ -1,11 +1,14 @@
 import csv
 import json
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from stereokit.data import read_kitti_png, write_disparity
+from stereokit.data import read_kitti_png, write_disparity, write_image
+from stereokit.data.images import write_samples
 from tests.cli.commands import fails, run
 from tests.evaluation.scenes import SIZE, save_kitti, save_scene
 from tests.shared import SHARED, needs_shared
@@ -152,7 +155,10 @@ def test_broken_pairs_are_errors(capsys: pytest.CaptureFixture[str], here: Path)
     def message() -> str:
         code, out, err = run(capsys, "eval", "--model", "sgbm", "--data", "folder:mine")
         assert (code, out) == (2, "")
-        assert not (here / "evaluation").exists()
+        # the pair before the broken one was counted
+        [left] = (here / "evaluation").iterdir()
+        assert left.name == "pairs.part.jsonl"
+        assert [json.loads(line)["name"] for line in left.read_text().splitlines()] == ["a"]
         return err.splitlines()[-1]
 
     write_disparity("mine/b/disparity.pfm", np.ones((SIZE[0] - 1, SIZE[1])), overwrite=True)
@@ -169,3 +175,115 @@ def test_the_pilot_on_kitti(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert code == 0
     [result] = json.loads((tmp_path / "evaluation.json").read_text())["datasets"]
     assert result["pairs"][0]["metrics"]["bad_3"] == pytest.approx(5.6, abs=0.1)
+
+
+def save_toed_in(folder: Path, disparity: int) -> None:
+    """A pair at one disparity below 0, and its truth."""
+    scene = np.random.default_rng(0).integers(0, 256, (40, 140, 3), dtype=np.uint8)
+    folder.mkdir()
+    write_image(folder / "left.png", scene[:, 20:120])
+    write_image(folder / "right.png", scene[:, 20 + disparity : 120 + disparity])
+    write_disparity(folder / "disparity.pfm", np.full((40, 100), disparity, np.float32))
+
+
+def test_disparities_below_0(capsys: pytest.CaptureFixture[str], here: Path, weights: str) -> None:
+    save_toed_in(here / "toed", -10)
+    arguments = ("eval", "--data", "folder:toed", "--overwrite", "--report", "page")
+    code, said, _ = run(capsys, *arguments, "--model", "sgbm")
+    assert code == 0
+    assert "no pixels" in said
+    assert "of the ground truth's 4,000 values 0 count: 100.0 % below 0 do not" in said
+    code, said, _ = run(capsys, *arguments, "--model", "sgbm", "--min-disparity", -16, "--search-range", 16)
+    assert code == 0
+    record = json.loads((here / "evaluation/evaluation.json").read_text())
+    assert record["settings"]["min_disparity"] == record["model"]["min_disparity"] == -16
+    assert record["datasets"][0]["metrics"]["pixels"] == 4000
+    assert record["datasets"][0]["metrics"]["bad_1"] < 5
+    assert "at least -16 px" in record["masks"]["counted"]
+    assert "Ground truth" in (here / "page/index.html").read_text()
+    code, said, _ = run(capsys, *arguments, "--weights", weights, "--device", "cpu", "--min-disparity", -16)
+    assert code == 0
+    assert "4,000 pixels" in said
+    assert run(capsys, *arguments, "--weights", weights, "--min-disparity", -100)[0] == 2
+
+
+def test_the_depth_of_the_cameras_is_said_once_for_all(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    dark = (np.random.default_rng(0).integers(0, 4096, (40, 60, 3))).astype(np.uint16)
+    (here / "dark").mkdir()
+    for view in ("left", "right"):
+        write_samples(here / f"dark/{view}.png", dark, overwrite=False)
+    write_disparity(here / "dark/disparity.pfm", np.ones((40, 60), np.float32))
+    (here / "brightness.py").write_text("def of(left, right):\n    return left[:, :, 0] * 1000\n")
+    arguments = ("eval", "--model", "brightness:of", "--overwrite")
+    with pytest.warns(UserWarning, match="need 12 bits only"):
+        assert run(capsys, *arguments, "--data", "folder:dark")[0] == 0
+    without = json.loads((here / "evaluation/evaluation.json").read_text())["datasets"][0]["metrics"]["epe"]
+    for words in (("--data", "folder:dark", "--bit-depth", 12), ("--data", "folder,bit_depth=12:dark")):
+        assert run(capsys, *arguments, *words)[0] == 0
+        bright = json.loads((here / "evaluation/evaluation.json").read_text())["datasets"][0]["metrics"]["epe"]
+        assert bright == pytest.approx(16 * without, rel=0.05)
+    assert "leave out bit_depth=12" in run(capsys, *arguments, "--data", "folder:mine", "--bit-depth", 12)[2]
+    assert "bit_depth must be" in fails(capsys, *arguments, "--data", "folder:mine", "--bit-depth", 17)
+    assert "bit_depth must be" in fails(capsys, *arguments, "--data", "folder,bit_depth=x:mine")
+
+
+@pytest.mark.parametrize(
+    ("gives", "hint"),
+    [
+        ("(left[:, :, 0] * 0).astype('int16') - 16 + 32 * (left[:, :, 0] > 9)", "divide by 16.0"),
+        ("-1.5 - left[:, :, 0] / 9", "all disparities are negative"),
+        ("left[:, :, 0] // 16 * 16.0", "multiples of 16"),
+        ("left[:, :, 0]", "whole numbers (uint8)"),
+    ],
+)
+def test_predictions_of_another_unit_are_doubted(
+    capsys: pytest.CaptureFixture[str], here: Path, gives: str, hint: str
+) -> None:
+    (here / "odd_unit.py").write_text(f"def of(left, right):\n    return {gives}\n")
+    sys.modules.pop("odd_unit", None)
+    code, said, _ = run(capsys, "eval", "--data", "folder:mine", "--model", "odd_unit:of")
+    assert code == 0
+    [line] = [line for line in said.splitlines() if "predictions of" in line]
+    assert "predictions of 2 pairs: " in line
+    assert hint in line
+
+
+def test_odd_names_are_results_as_any_others(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = [os.fsdecode(b"no\xffutf8"), "=1+1", "new\nline", "-\x1b[31mred"]
+    try:
+        for number, name in enumerate(names):
+            save_scene(tmp_path / "odd", name, 5, seed=number)
+    except OSError:
+        pytest.skip("this file system takes no such names")
+    code, _, err = run(capsys, "eval", "--model", "sgbm", "--data", "folder:odd", "--report", "page")
+    assert (code, "Traceback" in err) == (0, False)
+    text = (tmp_path / "evaluation/pairs.csv").read_text(encoding="utf-8")
+    rows = [row["pair"] for row in csv.DictReader(text.splitlines())]
+    assert sorted(rows) == sorted(["no\\udcffutf8", "'=1+1", "new\\nline", "'-\\x1b[31mred"])
+    record = json.loads((tmp_path / "evaluation/evaluation.json").read_text())
+    assert {pair["name"] for pair in record["datasets"][0]["pairs"]} == set(names)
+    assert "no\\udcffutf8" in (tmp_path / "page/index.html").read_text(encoding="utf-8")
+    assert not list(tmp_path.glob("evaluation/*.part*"))
+
+
+def test_what_was_found_before_the_end_is_kept(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    (here / "stops.py").write_text(
+        "calls = []\n"
+        "def of(left, right):\n"
+        "    calls.append(1)\n"
+        "    if len(calls) > 2:\n"
+        "        raise KeyboardInterrupt\n"
+        "    return left[:, :, 0] / 9\n"
+    )
+    arguments = ("eval", "--data", "folder:mine", "--model", "stops:of")
+    assert run(capsys, *arguments)[0] == 130
+    [line] = (here / "evaluation/pairs.part.jsonl").read_text().splitlines()
+    assert json.loads(line)["name"] == "a"
+    assert json.loads(line)["metrics"]["pixels"] > 0
+    assert "pairs.part.jsonl' exists already" in fails(capsys, *arguments)
+    (here / "fine.py").write_text("def of(left, right):\n    return left[:, :, 0] / 9\n")
+    assert run(capsys, "eval", "--data", "folder:mine", "--model", "fine:of", "--overwrite")[0] == 0
+    assert sorted(p.name for p in (here / "evaluation").iterdir()) == ["datasets.csv", "evaluation.json", "pairs.csv"]

@@ -1,10 +1,15 @@
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from torch import Tensor
 
+from stereokit.backends.eager import TorchBackend
+from stereokit.backends.estimate import Estimate
 from stereokit.data import read_disparity, write_image
+from stereokit.data.images import write_samples
 from tests.cli.commands import fails, run
 
 
@@ -186,3 +191,62 @@ def test_options_for_many_pairs_are_refused_for_one(
     for option in ("--workers", "--processes"):
         said = fails(capsys, "predict", *pair, "--weights", weights, option, "2")
         assert f"{option} has no effect on one pair of files" in said
+
+
+def test_predict_says_what_is_not_finite(
+    capsys: pytest.CaptureFixture[str], images: Path, monkeypatch: pytest.MonkeyPatch, weights: str
+) -> None:
+    real = TorchBackend.__call__
+
+    def broken(columns: int) -> Callable[..., Estimate]:
+        def call(self: TorchBackend, left: Tensor, right: Tensor) -> Estimate:
+            estimate = real(self, left, right)
+            estimate.disparity[..., :columns] = np.nan
+            return estimate
+
+        return call
+
+    arguments = ("predict", images / "left/a.png", images / "right/a.png", "--weights", weights, "--out", images / "o")
+    monkeypatch.setattr(TorchBackend, "__call__", broken(10))
+    code, _, err = run(capsys, *arguments)
+    assert code == 0
+    assert "a: 400 pixels (20.0 %) have no finite disparity, in float32 on" in err
+    monkeypatch.setattr(TorchBackend, "__call__", broken(50))
+    assert "no finite disparity at any pixel" in fails(capsys, *arguments, "--overwrite")
+
+
+def test_predict_in_images_of_fewer_bits_and_from_another_disparity_on(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, weights: str
+) -> None:
+    deep = np.random.default_rng(0).integers(0, 4096, (40, 90, 3)).astype(np.uint16)
+    for name, samples in (("dark", deep), ("full", np.rint(deep * (65535 / 4095)).astype(np.uint16))):
+        write_samples(tmp_path / f"{name}_left.png", samples, overwrite=False)
+        write_samples(tmp_path / f"{name}_right.png", np.roll(samples, 5, 1), overwrite=False)
+    (tmp_path / "calib.txt").write_text("P0: 70 0 45 0 0 70 20 0 0 0 1 0\nP1: 70 0 45 -35 0 70 20 0 0 0 1 0\n")
+    found = {}
+    for name, more in (("dark", ("--bit-depth", 12)), ("full", ())):
+        pair = [tmp_path / f"{name}_{view}.png" for view in ("left", "right")]
+        options = ("--weights", weights, "--device", "cpu", "--out", tmp_path / "out", "--min-disparity", -16, *more)
+        metres = ("--calibration", tmp_path / "calib.txt", "--depth", "--cloud", "ply", "--left-right")
+        code, said, _ = run(capsys, "predict", *pair, *options, *metres)
+        assert code == 0
+        found[name] = read_disparity(tmp_path / f"out/{name}_left_disparity.pfm")
+        assert found[name].min() >= -16
+        assert ("no 16-bit PNG" in said) == bool(found[name].min() < 0)
+    np.testing.assert_allclose(found["dark"], found["full"], atol=1e-2)
+    for name in ("left", "right"):
+        (tmp_path / name).mkdir()
+        shutil.copy(tmp_path / f"dark_{name}.png", tmp_path / name / "dark.png")
+    options = ("--weights", weights, "--device", "cpu", "--min-disparity", -16, "--bit-depth", 12)
+    metres = ("--calibration", tmp_path / "calib.txt", "--depth", "--left-right")
+    given = ("predict", tmp_path / "left", tmp_path / "right", *options, *metres, "--out", tmp_path / "many")
+    assert run(capsys, *given)[0] == 0
+    np.testing.assert_array_equal(
+        read_disparity(tmp_path / "many/dark_disparity.pfm"), read_disparity(tmp_path / "out/dark_left_disparity.pfm")
+    )
+    assert "1 pair done before" in run(capsys, *given)[1]
+    assert "min_disparity -16, not None" in fails(capsys, *(v for v in given if v not in ("--min-disparity", -16)))
+    with_8 = (tmp_path / "out/dark_left_picture.png",) * 2
+    assert "8 bits per sample" in fails(
+        capsys, "predict", *with_8, "--weights", weights, "--bit-depth", 12, "--out", tmp_path / "o"
+    )

@@ -2,7 +2,6 @@ import itertools
 import json
 import math
 import sys
-import time
 
 import cv2
 import numpy as np
@@ -164,16 +163,20 @@ def test_batches_hold_equal_sizes_and_change_no_number(tmp_path, batch):
     assert max(matcher.sizes) == min(batch, 4 if batch == 8 else batch)
 
 
-def test_the_clock_excludes_the_warm_up_and_shares_a_batch(three):
+def test_the_clock_excludes_the_warm_up_and_shares_a_batch(three, monkeypatch):
+    now = 0
+
     class Slow(Batches):
         def match_batch(self, lefts, rights):
-            time.sleep(0.6 if not self.sizes else 0.15)
+            nonlocal now
+            now += 15 if self.sizes else 60
             return super().match_batch(lefts, rights)
 
+    monkeypatch.setattr(sys.modules[evaluate.__module__], "synchronised_clock", lambda: now)
     matcher = Slow()
     [result] = evaluate(matcher, [three], batch=3).datasets
     assert matcher.sizes == [3, 3]
-    assert 0.05 <= result.median_seconds < 0.14
+    assert result.median_seconds == 5
 
 
 def test_a_matcher_that_can_not_be_described_is_refused_before_it_matches(three):
@@ -216,7 +219,8 @@ def test_the_record_tells_how_to_repeat(three, tmp_path):
     evaluation = evaluate(constant(math.nan), [three], command="stereokit eval")
     record = json.loads(evaluation.to_json())
     assert record["model"] == {"matcher": "callable", "name": "tests.evaluation.scenes.constant.<locals>.match"}
-    assert record["settings"] == {"taus": [1, 2, 3], "max_disparity": None, "limit": None, "batch": 1, "warmup": 1}
+    rules = {"taus": [1, 2, 3], "max_disparity": None, "min_disparity": 0}
+    assert record["settings"] == {**rules, "limit": None, "batch": 1, "warmup": 1}
     assert {"python", "stereokit", "torch", "numpy"} <= record["versions"].keys()
     assert {"system", "processor", "cores", "torch_threads"} <= record["machine"].keys()
     assert record["command"] == "stereokit eval"

@@ -10,7 +10,8 @@ import numpy as np
 from stereokit.data.datasets.dataset import StereoDataset, StereoEntry, StereoSample
 from stereokit.data.disparity_arrays import doubts
 from stereokit.errors import InputError, printable
-from stereokit.tables import counted
+from stereokit.metrics import count_pixels
+from stereokit.tables import counted, share
 
 __all__ = ["DatasetReport", "check_dataset", "format_report"]
 
@@ -25,9 +26,10 @@ class DatasetReport:
         sizes: how many pairs there are of each (width, height).
         with_truth: number of pairs with ground truth; likewise `with_nonocc`, `with_objects`,
             `with_calibration`.
-        known_pixels: number of pixels with known disparity.
+        known_pixels: number of pixels whose disparity counts by `stereokit.metrics.valid_pixels`.
+        dropped: number of pixels that have a value and do not count, by the rule that leaves them out.
         truth_pixels: number of pixels of the pairs with ground truth. `density` is the ratio of the two.
-        lowest: the smallest known disparity in pixels, None where there is none.
+        lowest: the smallest finite disparity in pixels, None where there is none.
         highest: the largest.
         sparsest: name and density of the pair with the least known disparity.
         assumed_scales: how many pairs have ground truth whose scale was assumed, for each such scale.
@@ -45,6 +47,7 @@ class DatasetReport:
     with_objects: int = 0
     with_calibration: int = 0
     known_pixels: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
     truth_pixels: int = 0
     lowest: float | None = None
     highest: float | None = None
@@ -74,9 +77,11 @@ class DatasetReport:
         if doubt := doubts(sample.disparity):
             self.warnings[f"ground truth: {doubt}"] += 1
         known = sample.disparity[np.isfinite(sample.disparity)]
-        density = known.size / sample.disparity.size
+        counts = count_pixels(sample.disparity)
+        density = counts.valid / sample.disparity.size
         self.with_truth += 1
-        self.known_pixels += known.size
+        self.known_pixels += counts.valid
+        self.dropped.update(counts.dropped())
         self.truth_pixels += sample.disparity.size
         if self.sparsest is None or density < self.sparsest[1]:
             self.sparsest = (sample.name, density)
@@ -142,6 +147,9 @@ def format_report(report: DatasetReport, *, most: int = 20) -> str:
     if report.density is not None and report.sparsest is not None:
         name, density = printable(report.sparsest[0])[1:-1], report.sparsest[1]
         lines.append(f"  known disparity   {report.density:.1%} of the pixels; least in {name} ({density:.1%})")
+    for rule, pixels in report.dropped.items():
+        part = share(pixels, report.known_pixels + report.dropped.total())
+        lines.append(f"  does not count    {part} of the pixels that have a value: {rule}")
     for scale, count in report.assumed_scales.most_common():
         lines.append(f"  scale assumed     {scale:g} for a pixel of disparity, in {counted(count, 'pair')}")
     lines += [

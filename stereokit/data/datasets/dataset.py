@@ -122,7 +122,7 @@ class Source(Generic[T]):
 
 @dataclass(frozen=True)
 class StereoEntry:
-    """Where the parts of a `StereoSample` lie."""
+    """Where the parts of a `StereoSample` lie, and the bits of the cameras where its images name more."""
 
     name: str
     left: Path
@@ -134,6 +134,7 @@ class StereoEntry:
     right_disparity: Source[Disparity] | None = None
     right_nonocc: Source[Mask] | None = None
     assumed_scale: Source[float | None] | None = None
+    bit_depth: int | None = None
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -158,7 +159,7 @@ class StereoEntry:
             UserWarning: a scale of ground truth had to be assumed, or the images do not use their bits (see
                 `read_image`).
         """
-        left, right = read_image(self.left), read_image(self.right)
+        left, right = (read_image(path, bit_depth=self.bit_depth) for path in (self.left, self.right))
         warn_of_other_depths(left, right)
         assumed = self.assumed_scale() if self.assumed_scale else None
         if assumed is not None:

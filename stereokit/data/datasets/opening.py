@@ -2,8 +2,10 @@
 
 import os
 import warnings
+from dataclasses import replace
 from typing import Any
 
+from stereokit.data.bit_depth import check_bit_depth
 from stereokit.data.datasets.dataset import DATASETS, StereoDataset
 from stereokit.data.datasets.layout import NoPairs
 from stereokit.errors import InputError, StereoKitError, printable
@@ -11,14 +13,22 @@ from stereokit.errors import InputError, StereoKitError, printable
 __all__ = ["open_dataset"]
 
 
-def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = False, **options: Any) -> StereoDataset:
+def open_dataset(
+    spec: str,
+    *,
+    split: str | None = None,
+    bit_depth: int | str | None = None,
+    allow_missing: bool = False,
+    **options: Any,
+) -> StereoDataset:
     """Opens a data set that lies on disk.
 
     Args:
         spec: "KIND:ROOT", such as "kitti2012:/data/kitti2012". KIND may carry a split and options, so that a
             command line can say all in one word: "kitti2015/val:ROOT",
-            "sceneflow/test,image_pass=cleanpass:ROOT". The kinds are those of `DATASETS`.
+            "sceneflow/test,image_pass=cleanpass:ROOT". The kinds are those of `DATASETS`; all of them take bit_depth.
         split: which part, where `spec` does not say. Each kind has its own and a default.
+        bit_depth: the bits of the cameras, where 16-bit images hold fewer: 12 for values up to 4095.
         allow_missing: open it although files are missing; reading such a pair then fails.
         **options: of the kind, such as `resolution="Q"` for "middlebury_v3".
 
@@ -49,6 +59,7 @@ def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = F
         if not equals:
             raise InputError(f"{printable(spec)}: expected an option as NAME=VALUE, got {printable(word, most=40)}")
         options[key] = value
+    bits = _bits(options.pop("bit_depth", bit_depth))
     if slash or split is not None:
         options["split"] = given_split if slash else split
     try:
@@ -58,6 +69,7 @@ def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = F
         if not others:
             raise
         raise InputError(f"{error}; it can be opened as {' or '.join(others)}") from error
+    dataset.entries = tuple(replace(entry, bit_depth=bits) for entry in dataset.entries)
     missing = [] if allow_missing else dataset.missing_files()
     if missing:
         base = dataset.root if dataset.root.is_dir() else dataset.root.parent
@@ -66,6 +78,14 @@ def open_dataset(spec: str, *, split: str | None = None, allow_missing: bool = F
             f"the first is {printable(os.path.relpath(missing[0], base))}"
         )
     return dataset
+
+
+def _bits(given: int | str | None) -> int | None:
+    bits = int(given) if isinstance(given, str) and given.isascii() and given.isdigit() else given
+    if isinstance(bits, str):
+        raise InputError(f"bit_depth must be a whole number from 1 to 16, got {printable(bits, most=40)}")
+    check_bit_depth(bits)
+    return bits
 
 
 def _opens(kind: str, root: str) -> bool:
