@@ -1,5 +1,5 @@
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
@@ -36,6 +36,7 @@ def loop(logits, left, right, bias, slope):
     return out
 
 
+@settings(max_examples=15)
 @given(seeds, st.integers(1, 2), st.integers(2, 5), st.floats(-2, 2), st.floats(-1, 1))
 def test_it_equals_the_loop(seed, batch, levels, bias, slope):
     logits = randn(seed, batch, levels, 3, 4, dtype=torch.float64)

@@ -41,6 +41,7 @@ def test_a_pinhole_rig_is_found(tmp_path):
     assert json.loads((tmp_path / "rig.json").read_text())["about"]["quality"]["views"] == found.quality.views
 
 
+@pytest.mark.slow
 def test_poor_views_are_found_exactly():
     good = views(example_rig())
     bad = [
@@ -114,6 +115,7 @@ def test_what_is_no_rig_is_refused():
         calibrate_rig([good[0]] * 10, SIZE)
 
 
+@pytest.mark.slow
 def test_warnings_say_what_to_do():
     true = example_rig()
     flat = calibrate_rig(views(true, near=0.6, far=0.7, tilt=3.0, wide=0.2), SIZE).warnings

@@ -39,6 +39,7 @@ def test_damaged_files_of_the_library():
         assert outcome.refused > 0
 
 
+@pytest.mark.slow
 def test_commands_on_damaged_files():
     outcomes = fuzz(quick(COMMANDS))
     assert failures(outcomes) == {}
