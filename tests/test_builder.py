@@ -67,7 +67,7 @@ def run(model, height=32, width=64):
             "upsampler",
             {"name": "trilinear"},
             TrilinearUpsampler,
-            {"name": "trilinear", "planes_scale": None, "align_corners": False},
+            {"name": "trilinear", "planes_scale": None, "align_corners": False, "include_end": False},
         ),
         (
             "aggregation",
@@ -134,7 +134,10 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"cost": {"projektion": [8, 8]}}, ["cost 'correlation' takes no argument 'projektion'", "'projection'"]),
         ({"cost": {"projection": 8}}, ["cost 'correlation' can't be built with projection=8"]),
         ({"cost": {"projection": []}}, ["a projection has one width or more"]),
-        ({"cost": {"projection": {"width": [8]}}}, ["a projection has widths, an activation and a bias", "width"]),
+        (
+            {"cost": {"projection": {"width": [8]}}},
+            ["a projection has widths, an activation, a bias and a last_kernel", "width"],
+        ),
         ({"cost": {"name": 5}}, ["the name of a cost is a string, not 5"]),
         ({"cost": {"name": ["correlation"]}}, ["the name of a cost is a string"]),
         ({"cost": 5}, ["cost=5: expected a component's name, a dict", "or a module"]),
@@ -147,7 +150,7 @@ def test_a_guidance_instance_without_channels_is_taken_at_its_word():
         ({"cost": CorrelationVolume(in_channels=96, planes=47)}, ["backbone UNet", "CorrelationVolume", "47", "48"]),
         ({"cost": {"projection": (8, np.int64(8))}}, ["plain JSON", "int64"]),
         ({"aggregation": Hourglass(in_channels=2)}, ["cost CorrelationVolume", "aggregation Hourglass", "1", "2"]),
-        ({"aggregation": {"channels": [8, 16]}}, ["aggregation 'hourglass' can't be built with channels=[8, 16]"]),
+        ({"aggregation": {"channels": [8, 16]}}, ["channels=[8, 16]", "those of the stem, and of two or three scales"]),
         ({"upsampler": BilinearUpsampler(scale=8)}, ["aggregation Hourglass", "upsampler BilinearUpsampler", "4", "8"]),
         (
             {"refinements": [{"name": "edge_aware", "stride": 8}]},

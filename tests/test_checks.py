@@ -179,6 +179,6 @@ def test_stages_compare_maps_that_there_are():
 
 def test_every_stride_divides_the_input():
     chosen = blocks(backbone__multiple=6, aggregation__multiple=4, aggregation__guide_channels={4: 32, 32: 32})
-    stage = SimpleNamespace(stride=4, aggregation=chosen["aggregation"], upsampler=chosen["upsampler"])
+    stage = SimpleNamespace(stride=4, **{slot: chosen[slot] for slot in ("aggregation", "regression", "upsampler")})
     assert input_multiple(chosen["backbone"], [stage]) == 96
     assert input_multiple(chosen["backbone"], [stage], [refinement(1, s5=3)]) == 480
