@@ -7,7 +7,7 @@ paper and a description of its layers; the authors' code, weights and results ar
 from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -139,33 +139,36 @@ class DeepPruner(StereoNetwork):
     """What both forms of DeepPruner have in common.
 
     Args:
-        stride: of the maps that are compared.
         max_disparity: D, in px.
-        refined_at: strides of the guides by which disparities are refined, from coarse to fine.
-        loss_weights: of the predictions: both ends of the range, aggregated, and after each refinement.
-        preprocessing: see `Preprocessing`.
+        mean, std, statistics, padding, corner: see `Preprocessing`.
     """
+
+    stride: int
+    """Of the maps that are compared."""
+    refined_at: tuple[int, ...]
+    """Strides of the guides by which disparities are refined, from coarse to fine."""
+    predictions_weigh: tuple[float, ...]
+    """In the loss: both ends of the range, aggregated, and after each refinement."""
 
     def __init__(
         self,
         *,
-        stride: Literal[4, 8],
-        max_disparity: int,
-        refined_at: Sequence[int],
-        loss_weights: Sequence[float],
-        preprocessing: Preprocessing,
+        max_disparity: int = 192,
+        mean: Sequence[float] = IMAGENET_MEAN,
+        std: Sequence[float] = IMAGENET_STD,
+        statistics: Statistics = "fixed",
+        padding: Padding = "replicate",
+        corner: Corner = "bottom_right",
     ) -> None:
-        check_max_disparity(max_disparity, stride, f"maps of stride {stride}")
+        check_max_disparity(max_disparity, self.stride, f"maps of stride {self.stride}")
         super().__init__(
             max_disparity=max_disparity,
-            multiple=8 * stride,
-            loss_weights=loss_weights,
-            preprocessing=preprocessing,
+            multiple=8 * self.stride,
+            loss_weights=self.predictions_weigh,
+            preprocessing=Preprocessing(mean=mean, std=std, statistics=statistics, padding=padding, corner=corner),
         )
-        self.stride = stride
-        self.refined_at = tuple(refined_at)
-        self.backbone = SpatialPyramid(deep_guides=True, halvings=2 if stride == 4 else 3)
-        self.patch_match = PatchMatch(stride=stride, max_disparity=max_disparity)
+        self.backbone = SpatialPyramid(deep_guides=True, halvings=2 if self.stride == 4 else 3)
+        self.patch_match = PatchMatch(stride=self.stride, max_disparity=max_disparity)
         first, pruned = self.patch_match.planes, SAMPLES + 2
         self.volume = CandidateVolume(32)
         self.ends = nn.ModuleList(FlatHourglass() for _ in QUANTILES)
@@ -177,8 +180,9 @@ class DeepPruner(StereoNetwork):
         self.mend_disparity = mending(1)
         self.mend_features = conv(pruned, pruned, 5, bias=True)
         # the first of them sees the logits too
+        channels = self.backbone.info.guide_channels
         self.refinements = nn.ModuleList(
-            Refinement(self.backbone.info.guide_channels[at] + (0 if i else pruned)) for i, at in enumerate(refined_at)
+            Refinement(channels[at] + (0 if i else pruned)) for i, at in enumerate(self.refined_at)
         )
 
     def match(self, left: Tensor, right: Tensor) -> StereoOutput:
@@ -249,7 +253,7 @@ def pruned_candidates(low: Tensor, high: Tensor, levels: int) -> Tensor:
     low = (low - (least - (high - low)).clamp(min=0.0) / 2).clamp(0.0, last)
     high = (high + (least - (high - low)).clamp(min=0.0)).clamp(0.0, last)
     spread = spread_candidates(low.squeeze(1), high.squeeze(1), SAMPLES + 2)
-    return torch.cat((spread[:, :1].floor(), spread[:, 1:-1].floor(), spread[:, -1:].ceil()), dim=1)
+    return torch.cat((spread[:, :-1].floor(), spread[:, -1:].ceil()), dim=1)
 
 
 @MODELS.register("deeppruner_best")
@@ -274,23 +278,9 @@ class DeepPrunerBest(DeepPruner):
     (torch.Size([1, 50, 70]), torch.Size([1, 50, 70]))
     """
 
-    def __init__(
-        self,
-        *,
-        max_disparity: int = 192,
-        mean: Sequence[float] = IMAGENET_MEAN,
-        std: Sequence[float] = IMAGENET_STD,
-        statistics: Statistics = "fixed",
-        padding: Padding = "replicate",
-        corner: Corner = "bottom_right",
-    ) -> None:
-        super().__init__(
-            stride=4,
-            max_disparity=max_disparity,
-            refined_at=(2,),
-            loss_weights=(1.0, 1.0, 1.0, 1.3),
-            preprocessing=Preprocessing(mean=mean, std=std, statistics=statistics, padding=padding, corner=corner),
-        )
+    stride = 4
+    refined_at = (2,)
+    predictions_weigh = (1.0, 1.0, 1.0, 1.3)
 
 
 @MODELS.register("deeppruner_fast")
@@ -315,23 +305,9 @@ class DeepPrunerFast(DeepPruner):
     (torch.Size([1, 50, 70]), torch.Size([1, 50, 70]))
     """
 
-    def __init__(
-        self,
-        *,
-        max_disparity: int = 192,
-        mean: Sequence[float] = IMAGENET_MEAN,
-        std: Sequence[float] = IMAGENET_STD,
-        statistics: Statistics = "fixed",
-        padding: Padding = "replicate",
-        corner: Corner = "bottom_right",
-    ) -> None:
-        super().__init__(
-            stride=8,
-            max_disparity=max_disparity,
-            refined_at=(4, 2),
-            loss_weights=(1.0, 1.0, 1.0, 1.3, 1.6),
-            preprocessing=Preprocessing(mean=mean, std=std, statistics=statistics, padding=padding, corner=corner),
-        )
+    stride = 8
+    refined_at = (4, 2)
+    predictions_weigh = (1.0, 1.0, 1.0, 1.3, 1.6)
 
 
 HOURGLASS = KeyMap(

@@ -21,19 +21,17 @@ from stereokit.costs.volume_lookup import VolumeLookup, volume_pyramid
 from stereokit.guidance import GCE
 from stereokit.layers import ConvNormAct, at_least_float32, init_convolutions
 from stereokit.models.coex import MOBILENET, PAIR
-from stereokit.models.raft_stereo import (
+from stereokit.models.recurrent import (
     ALIASES,
     BLOCK,
     TRUNK,
     UNITS,
     ContextHeads,
+    RecurrentNetwork,
     Trunk,
     Update,
-    check_iterations,
-    growing_weights,
-    keep_batch_norms,
 )
-from stereokit.network import Preprocessing, StereoNetwork
+from stereokit.network import Preprocessing
 from stereokit.registry import MODELS
 from stereokit.regression import soft_argmin
 from stereokit.upsampling.superpixel import SuperpixelUpsampler, superpixel_upsample
@@ -68,7 +66,7 @@ class StateSuperpixels(nn.Module):
         return at_least_float32(self.head(x)).softmax(1)
 
 
-class _IGEV(StereoNetwork):
+class _IGEV(RecurrentNetwork):
     """What both networks share: features, geometry encoding volume, first disparity, iterations."""
 
     update: Update
@@ -84,16 +82,14 @@ class _IGEV(StereoNetwork):
         hidden: int,
         preprocessing: Preprocessing,
     ) -> None:
-        check_iterations(iterations=iterations, test_iterations=test_iterations)
         check_max_disparity(max_disparity, 8 * STRIDE, "an hourglass of three halvings at stride 4")
         super().__init__(
             max_disparity=max_disparity,
-            multiple=32,
-            loss_weights=(1.0, *growing_weights(iterations)),
+            iterations=iterations,
+            test_iterations=test_iterations,
+            first_weights=(1.0,),
             preprocessing=preprocessing,
         )
-        self.iterations = iterations
-        self.test_iterations = test_iterations
         self.planes = max_disparity // STRIDE
         self.backbone = UNet(norm="instance", pretrained=pretrained_backbone)
         guides = self.backbone.info.guide_channels
@@ -110,12 +106,6 @@ class _IGEV(StereoNetwork):
         self.first_upsampler = SuperpixelUpsampler(
             scale=STRIDE, guide_channels={2: guides[2], STRIDE: channels}, padding="zeros", norm="instance"
         )
-
-    def train(self, mode: bool = True) -> "_IGEV":
-        """Sets the mode; 2D batch norms stay in eval mode."""
-        super().train(mode)
-        keep_batch_norms(self)
-        return self
 
     def match(self, left: Tensor, right: Tensor) -> StereoOutput:
         """Images, normalised and padded, to the output."""
@@ -137,13 +127,12 @@ class _IGEV(StereoNetwork):
         states, contexts = self.begin(left, guides)
         pyramid = volume_pyramid(at_least_float32(volume), self.lookup.levels)
         look_up = self.looked_up_in(pyramid, of_left, of_right)
-        count = self.iterations if self.training else self.test_iterations
-        for iteration in range(count):
+        for iteration in range(self.rounds):
             disparity = disparity.detach()
             around = look_up(disparity).to(left.dtype)
             states, change = self.update(states, contexts, around, disparity.unsqueeze(1).to(left.dtype))
             disparity = disparity + at_least_float32(change.squeeze(1))
-            if self.training or iteration == count - 1:
+            if self.training or iteration == self.rounds - 1:
                 weights = self.superpixels(states[0], guides[2])
                 predictions.append(Prediction(superpixel_upsample(STRIDE * disparity, weights, padding="zeros")))
         return StereoOutput(predictions[-1].disparity, tuple(predictions))
@@ -353,7 +342,7 @@ publish(
         ("hnet.1.", "state.1."),
         *layer("cnet.", "context.0."),
         ("context_zqr_conv.", "context.1."),
-        *KeyMap(UNITS).under("update_block.gru.", "update.units.0."),
+        *UNITS.under("update_block.gru.", "update.units.0."),
     ],
     **AUTHORS,
 )
@@ -379,9 +368,9 @@ publish(
         ("cnet.outputs16.0.", "context.state.2.0."),
         ("cnet.outputs16.1.", "context.context.2.0."),
         ("context_zqr_convs.", "context.gates."),
-        *KeyMap(UNITS).under("update_block.gru04.", "update.units.0."),
-        *KeyMap(UNITS).under("update_block.gru08.", "update.units.1."),
-        *KeyMap(UNITS).under("update_block.gru16.", "update.units.2."),
+        *UNITS.under("update_block.gru04.", "update.units.0."),
+        *UNITS.under("update_block.gru08.", "update.units.1."),
+        *UNITS.under("update_block.gru16.", "update.units.2."),
     ],
     **AUTHORS,
 )

@@ -4,182 +4,34 @@ Lipson et al., "RAFT-Stereo: multilevel recurrent field transforms for stereo ma
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from stereokit.config import Corner, Padding, Statistics
 from stereokit.contracts import Prediction, StereoOutput
 from stereokit.costs.pair_lookup import Lookup, PairLookup
-from stereokit.errors import ConfigError
-from stereokit.layers import ConvGRU, ConvNormAct, Norm, ResidualBlock, at_least_float32, relu
-from stereokit.network import Preprocessing, StereoNetwork
+from stereokit.layers import at_least_float32
+from stereokit.models.recurrent import (
+    ALIASES,
+    BLOCK,
+    HIDDEN,
+    TRUNK,
+    UNITS,
+    ContextHeads,
+    RecurrentNetwork,
+    Trunk,
+    Update,
+    block,
+)
+from stereokit.network import Preprocessing
 from stereokit.registry import MODELS
 from stereokit.upsampling.convex import ConvexWeights
 from stereokit.upsampling.superpixel import superpixel_upsample
-from stereokit.weights.key_map import KeyMap, publish
+from stereokit.weights.key_map import publish
 
 __all__ = ["RAFTStereo", "RAFTStereoRealtime"]
-
-HIDDEN = 128
-"""Channels of the states, and of the contexts."""
-
-block = partial(ResidualBlock, activation=relu, last_activation=relu, after_sum=relu, bias=True)
-
-
-def blocks(in_channels: int, out_channels: int, *, stride: int, norm: Norm) -> nn.Sequential:
-    return nn.Sequential(
-        block(in_channels, out_channels, stride=stride, norm=norm), block(out_channels, out_channels, norm=norm)
-    )
-
-
-class Trunk(nn.Module):
-    """A convolution and six residual blocks, down to stride 4 or 8.
-
-    Args:
-        stride: of the output; the first convolution halves the size where it is 8.
-        norm: of all layers.
-    """
-
-    def __init__(self, *, stride: int, norm: Norm) -> None:
-        super().__init__()
-        self.stem = ConvNormAct(3, 64, 7, stride=stride // 4, bias=True, norm=norm, activation=relu)
-        self.layer1 = blocks(64, 64, stride=1, norm=norm)
-        self.layer2 = blocks(64, 96, stride=2, norm=norm)
-        self.layer3 = blocks(96, 128, stride=2, norm=norm)
-
-    def forward(self, images: Tensor) -> Tensor:
-        """(B, 3, H, W) to (B, 128, H / stride, W / stride)."""
-        x: Tensor = self.layer3(self.layer2(self.layer1(self.stem(images))))
-        return x
-
-
-class ContextHeads(nn.Module):
-    """The first state of each level, and what is added to the gates of its unit in every iteration.
-
-    Args:
-        levels: 2 or 3, each half as fine as the one before.
-    """
-
-    def __init__(self, *, levels: int) -> None:
-        super().__init__()
-        self.down = nn.ModuleList(blocks(128, 128, stride=2, norm="batch") for _ in range(levels - 1))
-        self.state, self.context = (
-            nn.ModuleList(self._head(plain=level == 2) for level in range(levels)) for _ in range(2)
-        )
-        self.gates = nn.ModuleList(nn.Conv2d(HIDDEN, 3 * HIDDEN, 3, padding=1) for _ in range(levels))
-
-    @staticmethod
-    def _head(*, plain: bool) -> nn.Sequential:
-        last = nn.Conv2d(128, HIDDEN, 3, padding=1)
-        return nn.Sequential(last) if plain else nn.Sequential(block(128, 128), last)
-
-    def forward(self, x: Tensor) -> tuple[list[Tensor], list[Sequence[Tensor]]]:
-        """(B, 128, h, w) to states and contexts, the finest first."""
-        states, contexts = [], []
-        for level, (state, context, gates) in enumerate(zip(self.state, self.context, self.gates, strict=True)):
-            x = self.down[level - 1](x) if level else x
-            states.append(torch.tanh(state(x)))
-            contexts.append(gates(F.relu(context(x))).chunk(3, dim=1))
-        return states, contexts
-
-
-class MotionEncoder(nn.Module):
-    """What was looked up, and where, to the input of the finest unit.
-
-    Args:
-        looked_up: channels of what was looked up.
-        flow: channels of where.
-        channels: of the output, those of the flow included.
-    """
-
-    def __init__(self, looked_up: int, *, flow: int, channels: int) -> None:
-        super().__init__()
-        self.correlation = nn.Sequential(nn.Conv2d(looked_up, 64, 1), relu(), nn.Conv2d(64, 64, 3, padding=1), relu())
-        self.flow = nn.Sequential(nn.Conv2d(flow, 64, 7, padding=3), relu(), nn.Conv2d(64, 64, 3, padding=1), relu())
-        self.merge = nn.Sequential(nn.Conv2d(128, channels - flow, 3, padding=1), relu())
-
-    def forward(self, looked_up: Tensor, flow: Tensor) -> Tensor:
-        """Correlation (B, ., h, w) and flow (B, ., h, w) to (B, channels, h, w)."""
-        merged = self.merge(torch.cat((self.correlation(looked_up), self.flow(flow)), dim=1))
-        return torch.cat((merged, flow), dim=1)
-
-
-class Update(nn.Module):
-    """One iteration of all units, from coarse to fine: each sees its neighbours.
-
-    Args:
-        levels: how many units there are, from 1 to 3.
-        looked_up: channels of what was looked up.
-        flow: channels of what is mended: 2 along rows and columns, 1 along rows alone.
-        hidden: channels of the states.
-        head: channels between the two convolutions that give the change.
-        coarse_twice: the coarse units take a step of their own ahead of the common one.
-    """
-
-    def __init__(
-        self,
-        *,
-        levels: int,
-        looked_up: int,
-        flow: int = 2,
-        hidden: int = HIDDEN,
-        head: int = 256,
-        coarse_twice: bool = False,
-    ) -> None:
-        super().__init__()
-        self.coarse_twice = coarse_twice
-        self.motion = MotionEncoder(looked_up, flow=flow, channels=hidden)
-        neighbors = [(level > 0) + (level < levels - 1) for level in range(levels)]
-        self.units = nn.ModuleList(
-            ConvGRU(hidden, hidden * (count + (level == 0))) for level, count in enumerate(neighbors)
-        )
-        self.head = nn.Sequential(
-            nn.Conv2d(hidden, head, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(head, flow, 3, padding=1)
-        )
-
-    def forward(
-        self, states: Sequence[Tensor], contexts: Sequence[Sequence[Tensor]], looked_up: Tensor, flow: Tensor
-    ) -> tuple[list[Tensor], Tensor]:
-        """States, the finest first, to the next ones and a change of the flow, of its shape."""
-        states = list(states)
-        coarse = range(len(self.units) - 1, 0, -1)
-        for level in (*coarse, *coarse) if self.coarse_twice else coarse:
-            states[level] = self.units[level](states[level], contexts[level], *self._neighbors(states, level))
-        motion = self.motion(looked_up, flow)
-        states[0] = self.units[0](states[0], contexts[0], motion, *self._neighbors(states, 0))
-        return states, self.head(states[0])
-
-    @staticmethod
-    def _neighbors(states: Sequence[Tensor], level: int) -> list[Tensor]:
-        inputs = [F.avg_pool2d(states[level - 1], 3, stride=2, padding=1)] if level else []
-        if level + 1 < len(states):
-            size = states[level].shape[-2:]
-            inputs.append(F.interpolate(states[level + 1], size=size, mode="bilinear", align_corners=True))
-        return inputs
-
-
-def check_iterations(**counts: int) -> None:
-    """Raises `ConfigError` unless all of them are whole numbers from 1 up."""
-    for name, count in counts.items():
-        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-            raise ConfigError(f"{name}={count!r} has to be a whole number from 1 up")
-
-
-def growing_weights(iterations: int) -> tuple[float, ...]:
-    """The weight in the loss of what each iteration gives: from 0.9^15, however many there are, to 1."""
-    decay = 0.9 ** (15 / max(iterations - 1, 1))
-    return tuple(decay ** (iterations - 1 - i) for i in range(iterations))
-
-
-def keep_batch_norms(network: nn.Module) -> None:
-    """Has the 2D batch norms of a network stay as they are, in training mode too."""
-    for module in network.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            module.eval()
 
 
 class Encoded(NamedTuple):
@@ -192,7 +44,7 @@ class Encoded(NamedTuple):
 
 
 @MODELS.register("raft_stereo")
-class RAFTStereo(StereoNetwork):
+class RAFTStereo(RecurrentNetwork):
     """Three recurrent units of strides 4 to 16 mend a disparity that begins at 0.
 
     In training mode there is a prediction after each iteration, with weights that grow to 1; in eval mode the last one
@@ -236,17 +88,14 @@ class RAFTStereo(StereoNetwork):
         padding: Padding = "replicate",
         corner: Corner = "bottom_right",
     ) -> None:
-        check_iterations(iterations=iterations, test_iterations=test_iterations)
         super().__init__(
             max_disparity=max_disparity,
-            multiple=32,
+            iterations=iterations,
+            test_iterations=test_iterations,
             # the coarsest level of the pyramid has a column
             least_size=8 * self.stride,
-            loss_weights=growing_weights(iterations),
             preprocessing=Preprocessing(mean=mean, std=std, statistics=statistics, padding=padding, corner=corner),
         )
-        self.iterations = iterations
-        self.test_iterations = test_iterations
         self.trunk = Trunk(stride=self.stride, norm="batch")
         self.context = ContextHeads(levels=self.levels)
         self.features = (
@@ -258,27 +107,20 @@ class RAFTStereo(StereoNetwork):
         self.update = Update(levels=self.levels, looked_up=self.lookup.out_channels, coarse_twice=self.shared_trunk)
         self.upsampling = ConvexWeights(HIDDEN, self.stride)
 
-    def train(self, mode: bool = True) -> "RAFTStereo":
-        """Sets the mode; batch norms stay in eval mode."""
-        super().train(mode)
-        keep_batch_norms(self)
-        return self
-
     def match(self, left: Tensor, right: Tensor) -> StereoOutput:
         """Images, normalised and padded, to the output."""
         of_left, of_right, states, contexts = self._encode(left, right)
         pairs = self.lookup.of(of_left, of_right)
         flow = torch.zeros_like(of_left[:, :2], dtype=torch.float32)
         predictions = []
-        count = self.iterations if self.training else self.test_iterations
-        for iteration in range(count):
+        for iteration in range(self.rounds):
             flow = flow.detach()
             # disparity is flow to the left
             looked_up = self.lookup(pairs, -flow[:, 0])
             states, change = self.update(states, contexts, looked_up.to(of_left.dtype), flow.to(of_left.dtype))
             along_rows = flow[:, :1] + at_least_float32(change[:, :1])
             flow = torch.cat((along_rows, torch.zeros_like(along_rows)), dim=1)
-            if self.training or iteration == count - 1:
+            if self.training or iteration == self.rounds - 1:
                 predictions.append(Prediction(self._upsampled(-along_rows.squeeze(1), states[0])))
         return StereoOutput(predictions[-1].disparity, tuple(predictions))
 
@@ -345,26 +187,6 @@ class RAFTStereoRealtime(RAFTStereo):
         )
 
 
-BLOCK = KeyMap(
-    [
-        ("conv1.", "conv1.0."),
-        ("norm1.", "conv1.1."),
-        ("conv2.", "conv2.0."),
-        ("norm2.", "conv2.1."),
-        ("downsample.", "skip."),
-    ]
-)
-
-TRUNK = KeyMap(
-    [
-        ("conv1.", "stem.0."),
-        ("norm1.", "stem.1."),
-        *(pair for n in (1, 2, 3) for pair in BLOCK.under(f"layer{n}.{{m}}.", f"layer{n}.{{m}}.")),
-    ]
-)
-
-UNITS = (("convz.", "update."), ("convr.", "reset."), ("convq.", "candidate."))
-
 KEYS = (
     *TRUNK.under("cnet.", "trunk."),
     *BLOCK.under("cnet.layer4.{m}.", "context.down.0.{m}."),
@@ -382,15 +204,12 @@ KEYS = (
     ("update_block.encoder.convf1.", "update.motion.flow.0."),
     ("update_block.encoder.convf2.", "update.motion.flow.2."),
     ("update_block.encoder.conv.", "update.motion.merge.0."),
-    *KeyMap(UNITS).under("update_block.gru08.", "update.units.0."),
-    *KeyMap(UNITS).under("update_block.gru16.", "update.units.1."),
+    *UNITS.under("update_block.gru08.", "update.units.0."),
+    *UNITS.under("update_block.gru16.", "update.units.1."),
     ("update_block.flow_head.conv1.", "update.head.0."),
     ("update_block.flow_head.conv2.", "update.head.2."),
     ("update_block.mask.", "upsampling.layers."),
 )
-# the norm of a shortcut stands twice; the one that its authors load last is read
-ALIASES = ("cnet.layer{n}.{m}.norm3.",)
-
 publish(
     "raft_stereo",
     source="the authors' checkpoints",
@@ -401,7 +220,7 @@ publish(
         *BLOCK.under("cnet.layer5.{m}.", "context.down.1.{m}."),
         ("cnet.outputs32.0.", "context.state.2.0."),
         ("cnet.outputs32.1.", "context.context.2.0."),
-        *KeyMap(UNITS).under("update_block.gru32.", "update.units.2."),
+        *UNITS.under("update_block.gru32.", "update.units.2."),
         *TRUNK.under("fnet.", "features.0."),
         ("fnet.conv2.", "features.1."),
     ],
