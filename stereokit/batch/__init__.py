@@ -1,7 +1,8 @@
 """Many pairs of files: reading, matching and writing at once, with a manifest of what became of each."""
 
+from stereokit.batch.job import MatchedPair, MoreFiles
 from stereokit.batch.manifest import MANIFEST_NAME, PairRecord, Records
-from stereokit.batch.matching import MatchedPair, MoreFiles, Summary, match_files
+from stereokit.batch.matching import Summary, match_files
 from stereokit.batch.pipeline import read_ahead, run_pipeline
 
 __all__ = [

@@ -6,16 +6,14 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
+from stereokit.batch.job import BatchJob, MatchedPair
 from stereokit.batch.manifest import MadeWith, Records
 from stereokit.errors import InputError, StereoKitError
 from stereokit.optimize import keep_freed_memory
-
-if TYPE_CHECKING:
-    from stereokit.batch.matching import BatchJob, MatchedPair
 
 __all__ = ["Crew"]
 
@@ -32,7 +30,7 @@ class Crew:
         StereoKitError: the network can't be opened.
     """
 
-    def __init__(self, job: "BatchJob", processes: int, devices: Sequence[str]) -> None:
+    def __init__(self, job: BatchJob, processes: int, devices: Sequence[str]) -> None:
         context = multiprocessing.get_context("spawn")
         self._taken, self._stop = context.Value("q", 0), context.Event()
         self._processes: dict[Connection, Any] = {}
@@ -52,7 +50,7 @@ class Crew:
             self.close()
             raise
 
-    def run(self, staging: Path, tell: Callable[[int, "MatchedPair | StereoKitError"], None]) -> None:
+    def run(self, staging: Path, tell: Callable[[int, MatchedPair | StereoKitError], None]) -> None:
         """Matches all pairs; tells of them in order.
 
         Raises:
@@ -124,7 +122,7 @@ class Crew:
 
 
 def _work(
-    connection: Connection, taken: Any, stop: Any, job: "BatchJob", device: str | None, threads: int, quiet: bool
+    connection: Connection, taken: Any, stop: Any, job: BatchJob, device: str | None, threads: int, quiet: bool
 ) -> None:
     """The main function of a process."""
     # Ctrl-C reaches all of them; the first one says when to stop
