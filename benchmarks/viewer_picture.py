@@ -1,18 +1,16 @@
 """Makes docs/viewer.jpg: the viewer's page in headless Chromium, with a pixel clicked and the cloud turned."""
 
 import argparse
-import shutil
-import threading
 from pathlib import Path
 
 import cv2
 import numpy as np
-from playwright.sync_api import sync_playwright
+from browser import viewer_page
 
 from stereokit import Predictor
 from stereokit.calibration import read_calibration
 from stereokit.data.pairs import match_pairs
-from stereokit.viewer import Album, Desk, ViewServer
+from stereokit.viewer import Album, Desk
 
 
 def main() -> None:
@@ -28,13 +26,7 @@ def main() -> None:
     options = parser.parse_args()
     pairs = match_pairs(options.left, options.right)
     desk = Desk(Album(pairs), Predictor("coex"), read_calibration(options.calibration))
-    with ViewServer(desk, port=0) as server, sync_playwright() as api:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-        browser = api.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
-        page = browser.new_page(viewport={"width": 1440, "height": 860})
-        page.set_default_timeout(120_000)
-        page.goto(server.url)
+    with viewer_page(desk, width=1440, height=860) as page:
         page.wait_for_function("() => window.app && app.frame && !app.drawing")
         (x, y), (to_x, to_y) = options.pixel, options.to
         page.evaluate(
@@ -44,9 +36,6 @@ def main() -> None:
         page.wait_for_selector("#chart svg")
         page.wait_for_timeout(500)
         image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-        browser.close()
-        server.shutdown()
-    desk.close()
     image = cv2.resize(image, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA)
     _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 76])
     Path(options.out).write_bytes(encoded.tobytes())

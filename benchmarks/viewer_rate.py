@@ -1,20 +1,18 @@
 """How many frames a second the viewer's page shows, and how fast its cloud turns, in headless Chromium."""
 
 import argparse
-import shutil
-import threading
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import torch
-from playwright.sync_api import sync_playwright
+from browser import viewer_page
 from torch import Tensor, nn
 
 from stereokit import Predictor, StereoOutput
 from stereokit.calibration import Calibration
-from stereokit.viewer import Desk, Frames, ViewServer
+from stereokit.viewer import Desk, Frames
 
 HEIGHT, WIDTH = 625, 800
 SCRIPT = """async seconds => {
@@ -72,18 +70,9 @@ def main() -> None:
     options = parser.parse_args()
     camera = Calibration(fx=800.0, baseline=0.1, cx0=400.0, cx1=400.0, cy=312.0)
     desk = Desk(Frames(video(), name="frames", live=True), Predictor(Free(), "cpu"), camera)
-    with ViewServer(desk, port=0) as server, sync_playwright() as api:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-        browser = api.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.set_default_timeout(120_000)
-        page.goto(server.url)
+    with viewer_page(desk, width=1440, height=900) as page:
         page.wait_for_function("() => window.app && app.frame && app.frame.number > 3")
         found = page.evaluate(SCRIPT, options.seconds)
-        browser.close()
-        server.shutdown()
-    desk.close()
     print(f"{WIDTH * HEIGHT:,} points: {found['live']:.1f} frames/s live")
     print(f"the cloud turned and drawn in {found['turn']:.0f} ms (without a graphics card)")
     print(f"a range of colours moved in {found['range']:.0f} ms, a point of the cloud found in {found['pick']:.0f} ms")
