@@ -45,6 +45,7 @@ class BoardSheet:
     Raises:
         InputError: unknown paper, or a board that does not fit it.
 
+    >>> from stereokit.cameras.boards import Checkerboard
     >>> BoardSheet(Checkerboard(9, 6, 0.025)).size
     (0.297, 0.21)
     """

@@ -51,7 +51,7 @@ def semi_global_aggregate(volume: Tensor, weights: Tensor) -> Tensor:
 
     >>> volume = torch.tensor([[8.0, 0.0, 0.0]]).reshape(1, 1, 1, 1, 3)
     >>> semi_global_aggregate(volume, torch.ones(1, 20, 1, 3)).flatten()
-    tensor([8.0000, 4.8000, 2.8800])
+    tensor([8.0000, 3.2000, 1.2800])
     """
     batch, channels, _, height, width = volume.shape
     if weights.dim() != 4 or weights.shape[1] != DIRECTIONS * TERMS * channels:

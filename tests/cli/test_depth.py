@@ -1,3 +1,4 @@
+import re
 import shutil
 
 import cv2
@@ -104,7 +105,7 @@ def test_views_of_a_rig_become_metres(rig_scene, tmp_path, capsys):
     folder, truth = rig_scene
     options = ("--rig", str(folder / "rig.json"), "--depth", "npy", "--cloud", "--left-right")
     assert predict(folder, tmp_path, *options) == 0
-    assert "pixels were not seen by both cameras" in capsys.readouterr().err
+    assert re.search(r"^left: \d+ pixels \(\d+\.\d %\) were not seen by both cameras$", capsys.readouterr().err, re.M)
     depth = np.load(tmp_path / "out" / "left_depth.npy")
     both = np.isfinite(depth) & np.isfinite(truth)
     assert both.mean() > 0.5

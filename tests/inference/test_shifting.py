@@ -72,6 +72,7 @@ def test_the_right_view_and_the_batch_are_matched_from_the_same_disparity() -> N
     assert NetworkMatcher(predict).describe()["min_disparity"] == -12
 
 
+@pytest.mark.slow
 def test_an_exported_file_takes_it_too(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     from stereokit.export import export_onnx

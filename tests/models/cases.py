@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from stereokit.config import IMAGENET_MEAN, IMAGENET_STD
 
-__all__ = ["CASES", "Case", "Golden", "Tap"]
+__all__ = ["CASES", "QUICK", "Case", "Golden", "Tap"]
 
 ALL_EXPORTS = ("onnx", "openvino", "program")
 
@@ -174,6 +174,9 @@ STEREONET = {
 
 ALL_CANDIDATES = 96
 """Of Fast-ACVNet: where levels tie for the last place among its candidates, rounding moves all of a random network."""
+
+QUICK = ("coex", "psmnet", "gcnet", "gwcnet_g", "stereonet_8x", "lightstereo_s", "dispnetc", "rt_igev")
+"""One of each kind. The quick run builds and calls every network once, and goes on with these alone."""
 
 CASES: dict[str, Case] = {
     "coex": Case(parameters=2_721_993, golden=ELSEWHERE),

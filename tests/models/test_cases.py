@@ -16,15 +16,12 @@ from stereokit.optimize import prepare_for_inference
 from stereokit.runtime.memory import PeakMemory, estimate_memory
 from stereokit.weights.key_map import PUBLISHED
 from tests.golden import published_state, recording, save_checkpoint
-from tests.models.cases import CASES, Case, Golden, captured
+from tests.models.cases import CASES, QUICK, Case, Golden, captured
 from tests.optimize.networks import with_statistics
 from tests.shared import needs_shared
 
 OURS = [name for name in list_models() if name in CASES or build_model(name).__module__.startswith("stereokit.")]
 RECORDED = [name for name, case in CASES.items() if isinstance(case.golden, Golden)]
-
-QUICK = ("coex", "psmnet", "gcnet", "gwcnet_g", "stereonet_8x", "lightstereo_s", "dispnetc", "rt_igev")
-"""One of each kind. The quick run builds and calls every network once, and goes on with these alone."""
 
 every_network = pytest.mark.parametrize("name", OURS)
 every_network_in_time = pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import torch
 
 from stereokit import Predictor, build_model, list_models
 from stereokit.data.synthetic import SyntheticScenes
+from tests.models.cases import CASES, QUICK
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA")
 # in px, at nine of ten pixels
@@ -44,12 +45,18 @@ def test_disparities_are_those_of_the_plain_network(scene, expected, device, bac
     assert np.quantile(np.abs(again - expected), 0.9) < TOLERANCE[precision]
 
 
-@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=needs_cuda)])
-@pytest.mark.parametrize("name", list_models())
+@pytest.mark.parametrize(
+    ("name", "device"),
+    [
+        *(pytest.param(name, "cpu", marks=() if name in QUICK else pytest.mark.slow) for name in list_models()),
+        *(pytest.param(name, "cuda", marks=needs_cuda) for name in list_models()),
+    ],
+)
 def test_every_network_learns_on_every_device(name, device):
     torch.manual_seed(0)
-    model = build_model(name, max_disparity=64).to(device).train()
-    left, right = torch.rand(2, 2, 3, 64, 128, device=device)
+    case = CASES[name]
+    model = build_model(name, max_disparity=case.max_disparity, **case.overrides).to(device).train()
+    left, right = torch.rand(2, 2, 3, *case.size, device=device)
     output = model(left, right)
     assert output.disparity.device.type == torch.device(device).type
     sum(disparity.mean() for disparity in (output.disparity, *output.auxiliary)).backward()
