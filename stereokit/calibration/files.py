@@ -27,7 +27,10 @@ from stereokit.calibration.formats.text import keyed_lines, named, read_text
 from stereokit.calibration.rectified import FORMAT, Calibration, PathLike
 from stereokit.errors import InputError
 
-__all__ = ["WRITERS", "read_calibration", "write_calibration"]
+__all__ = ["LEAST_BASELINE", "MOST_BASELINE", "WRITERS", "read_calibration", "write_calibration"]
+
+LEAST_BASELINE, MOST_BASELINE = 0.005, 5.0
+"""In metres. What lies outside has its unit wrong, most often."""
 
 
 def read_calibration(path: PathLike, *, metres_per_unit: float | None = None) -> Calibration:
@@ -44,7 +47,8 @@ def read_calibration(path: PathLike, *, metres_per_unit: float | None = None) ->
             OpenCV's files is in the unit of the calibration board: say 0.001 if that was millimetres.
 
     Raises:
-        InputError: a missing or unreadable file, one of no known kind, or one without the numbers needed.
+        InputError: a missing or unreadable file, one of no known kind, or one without the numbers needed; or, where no
+            unit is said, a baseline outside 5 mm to 5 m.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "calib.txt"
@@ -52,6 +56,17 @@ def read_calibration(path: PathLike, *, metres_per_unit: float | None = None) ->
     >>> read_calibration(path)
     Calibration(fx=700.0, baseline=0.1, cx0=320.0, cx1=325.0, width=None, height=None, fy=700.0, cy=240.0)
     """
+    calibration = _read(path, metres_per_unit)
+    # a unit that was said is believed
+    if metres_per_unit is None and not LEAST_BASELINE <= calibration.baseline <= MOST_BASELINE:
+        raise InputError(
+            f"{os.fspath(path)!r}: the baseline is {calibration.baseline:g} m, expected 5 mm to 5 m; if the file has "
+            "another unit say metres_per_unit, or 'stereokit calibrate convert FILE NEW --unit mm'"
+        )
+    return calibration
+
+
+def _read(path: PathLike, metres_per_unit: float | None) -> Calibration:
     text = read_text(path)
     unit = 1.0 if metres_per_unit is None else metres_per_unit
     if text.lstrip()[:1] == "{" and (values := read_document(path)).get("format") == FORMAT:

@@ -130,7 +130,10 @@ class Calibration:
         if self.width is None or self.height is None or (self.height, self.width) == (height, width):
             return
         if self._same_aspect(height, width):
-            hint = f"if they were resized, use calibration.scaled(height={height}, width={width})"
+            hint = (
+                f"if they were resized, use calibration.scaled(height={height}, width={width}), or "
+                f"'stereokit calibrate convert FILE NEW --scale-to {height} {width}'"
+            )
         else:
             hint = "they have another aspect ratio, so they were cropped, or belong to another camera"
         raise InputError(

@@ -61,7 +61,8 @@ class Rectification:
         for side, view in (("left", left), ("right", right)):
             if view.shape[:2] != (height, width):
                 raise InputError(
-                    f"the {side} view has {view.shape[1]} x {view.shape[0]} pixels; the rig is for {width} x {height}"
+                    f"the {side} view has {view.shape[1]} x {view.shape[0]} pixels; the rig is for {width} x {height}; "
+                    "if the views were resized, use rig.scaled, or 'stereokit calibrate convert RIG NEW --scale-to'"
                 )
         first, second = (
             cv2.remap(view, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0, 0, 0, 0))

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -10,22 +10,22 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereokit.calibration.files import LEAST_BASELINE, MOST_BASELINE
 from stereokit.calibration.formats.documents import read_document
 from stereokit.calibration.formats.kalibr import KalibrCamera, read_kalibr
-from stereokit.calibration.formats.text import named, numbers
-from stereokit.calibration.rectified import PathLike
+from stereokit.calibration.formats.text import keyed_lines, named, numbers, read_text
+from stereokit.calibration.rectified import Calibration, PathLike
 from stereokit.calibration.versioned import check_version
 from stereokit.errors import InputError
 from stereokit.files import write_json
 
-__all__ = ["Camera", "Model", "Rig", "read_rig"]
+__all__ = ["Camera", "Model", "Rig", "is_rig", "read_rig"]
 
 Model: TypeAlias = Literal["pinhole", "fisheye"]
 
 _FORMAT = "stereokit rig"
 _VERSION = 1
 _COEFFICIENTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (4,)}
-_LEAST_BASELINE, _MOST_BASELINE = 0.005, 5.0
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,21 @@ class Camera:
     def coefficients(self) -> npt.NDArray[np.float64]:
         """The distortion as OpenCV's functions take it: at least four numbers."""
         return np.array(self.distortion or (0.0,) * 4)
+
+    def scaled(self, *, height: int, width: int) -> "Camera":
+        """The camera whose images are resized: f' = s f and c' = (c + 0.5) s - 0.5; the lens stays as it is.
+
+        Raises:
+            InputError: a size that is not positive, or another aspect ratio by more than rounding.
+
+        >>> Camera(500.0, 500.0, 319.5, 239.5, 640, 480).scaled(height=240, width=320)
+        Camera(fx=250.0, fy=250.0, cx=159.5, cy=119.5, width=320, height=240, distortion=(), model='pinhole')
+        """
+        pair = Calibration(self.fx, 1.0, self.cx, self.cx, self.width, self.height, self.fy, self.cy)
+        resized = pair.scaled(height=height, width=width)
+        return replace(
+            self, fx=resized.fx, fy=resized.fy, cx=resized.cx0, cy=resized.known_cy(), width=width, height=height
+        )
 
     def project(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Where the camera sees points (N, 3) of its own axes, in metres: (N, 2), column and row.
@@ -142,7 +157,7 @@ class Rig:
         if not (np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0):
             raise InputError("rig: R is no rotation")
         across, down, _ = self.translation
-        if not (_LEAST_BASELINE <= self.baseline <= _MOST_BASELINE):
+        if not (LEAST_BASELINE <= self.baseline <= MOST_BASELINE):
             raise InputError(
                 f"rig: the baseline is {self.baseline:g} m; expected 5 mm to 5 m; check the unit of the board"
             )
@@ -158,6 +173,20 @@ class Rig:
     def baseline(self) -> float:
         """Distance of the cameras in metres."""
         return float(np.linalg.norm(self.translation))
+
+    def scaled(self, *, height: int, width: int) -> "Rig":
+        """The rig whose images are resized, see `Camera.scaled`.
+
+        Raises:
+            InputError: a size that is not positive, or another aspect ratio by more than rounding.
+
+        >>> camera = Camera(500.0, 500.0, 319.5, 239.5, 640, 480)
+        >>> rig = Rig(camera, camera, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (-0.1, 0.0, 0.0))
+        >>> rig.scaled(height=240, width=320).right.fx
+        250.0
+        """
+        left, right = (camera.scaled(height=height, width=width) for camera in (self.left, self.right))
+        return replace(self, left=left, right=right)
 
     def to_dict(self) -> dict[str, Any]:
         """What `write` puts into a file; `from_dict` takes it."""
@@ -193,6 +222,16 @@ class Rig:
             raise InputError(f"{os.fspath(path)!r}: a rig is written as .json")
         values = {**self.to_dict(), **({} if about is None else {"about": dict(about)})}
         write_json(path, values, overwrite=overwrite)
+
+
+def is_rig(path: PathLike) -> bool:
+    """Whether a file says that it is a rig, which `read_rig` reads; others may be calibrations of rectified pairs.
+
+    Raises:
+        InputError: a file that can't be read.
+    """
+    text = read_text(path)
+    return f'"{_FORMAT}"' in text or "T_cn_cnm1" in keyed_lines(text, ":")
 
 
 def read_rig(path: PathLike) -> Rig:

@@ -6,9 +6,10 @@ import re
 from stereokit.cameras.boards import Board, CharucoBoard, Checkerboard
 from stereokit.errors import ConfigError
 
-__all__ = ["add_board_options", "board_words", "chosen_board", "metres"]
+__all__ = ["UNITS", "add_board_options", "board_words", "chosen_board", "metres"]
 
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+"""Of lengths, in metres."""
 
 
 def metres(text: str) -> float:
@@ -23,9 +24,9 @@ def metres(text: str) -> float:
     parts = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)\s*", text.lower())
     if parts is not None and not parts[2]:
         raise argparse.ArgumentTypeError(f"{text!r} has no unit; say {text}mm, {text}cm, {text}m or {text}in")
-    if parts is None or parts[2] not in _UNITS:
+    if parts is None or parts[2] not in UNITS:
         raise argparse.ArgumentTypeError(f"{text[:40]!r} is no length; expected one such as 25mm, 2.5cm, 0.025m or 1in")
-    return float(f"{float(parts[1]) * _UNITS[parts[2]]:.12g}")
+    return float(f"{float(parts[1]) * UNITS[parts[2]]:.12g}")
 
 
 def add_board_options(parser: argparse.ArgumentParser) -> None:

@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> None:
     if video.is_video_call(options):
         _refuse_options_for_many(options, "a video")
         if options.bit_depth is not None:
-            raise ConfigError("--bit-depth has no effect on a video, which has 8 bits per sample; leave it out")
+            raise ConfigError("--bit-depth has no effect on a video, which says its bits itself; leave it out")
         if options.min_disparity:
             raise ConfigError("--min-disparity is for images alone, not for a video; leave it out, or give images")
         video.run(options)

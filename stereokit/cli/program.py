@@ -13,6 +13,7 @@ from stereokit.cli import (
     bench,
     calibrate,
     calibrate_board,
+    calibrate_convert,
     check,
     convert,
     data,
@@ -27,6 +28,7 @@ from stereokit.cli import (
 )
 from stereokit.cli import eval as evaluation
 from stereokit.cli import list as listing
+from stereokit.cli.interrupts import Terminated, end_in_order
 from stereokit.errors import StereoKitError
 from stereokit.optimize import keep_freed_memory
 
@@ -38,6 +40,7 @@ COMMANDS: Mapping[str, tuple[ModuleType, str]] = {
     "check": (check, "find out whether a pair is rectified, in order, and fit to be matched"),
     "calibrate": (calibrate, "find the lenses and the pose of two cameras from views of a board"),
     "calibrate board": (calibrate_board, "print a board to calibrate with, as PDF or PNG"),
+    "calibrate convert": (calibrate_convert, "write a calibration in another format, or for resized images"),
     "rectify": (rectify, "turn views of a calibrated rig into rectified pairs"),
     "bag": (bag, "turn the images of a ROS bag into one of disparity and point clouds"),
     "eval": (evaluation, "count errors on data sets with ground truth"),
@@ -67,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; those of the process by default.
 
     Returns:
-        The exit code: 0, or what the command says; 2 with one line on standard error where it fails.
+        The exit code: 0, or what the command says; 2 with one line on standard error where it fails; 128 and the
+        number of the signal that ended it.
 
     >>> main(["list", "costs", "*correlation"])
     correlation
@@ -77,6 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:
         # the process is this command's own
         keep_freed_memory()
+        end_in_order()
     given = _commanded(sys.argv[1:] if arguments is None else list(arguments))
     options, unknown = _parser().parse_known_args(given, argparse.Namespace(arguments=given))
     if unknown:
@@ -87,6 +92,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except StereoKitError as error:
         print(f"stereokit {options.command}: {error}", file=sys.stderr)
         return 2
+    except Terminated as told:
+        return 128 + told.number
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:

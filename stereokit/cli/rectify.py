@@ -6,7 +6,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
@@ -14,13 +13,18 @@ from tqdm import tqdm
 from stereokit.calibration import write_calibration
 from stereokit.cameras.rectification import Rectification, rectify
 from stereokit.cameras.rig import read_rig
+from stereokit.cli.interrupts import finished_before_interrupt
 from stereokit.cli.views import Views, add_view_arguments, open_views
-from stereokit.data.images import to_uint8, write_image
+from stereokit.data.images import write_image
 from stereokit.errors import InputError
-from stereokit.files import atomic_path, check_folder, check_free, make_folder
+from stereokit.files import check_folder, check_free, make_folder
 from stereokit.tables import counted
+from stereokit.video import open_stereo_video
+from stereokit.video.writing import FFV1, VideoWriter
 
 __all__ = ["add_arguments", "run"]
+
+_CALIBRATION, _MASK = "calibration.json", "valid.png"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,19 +57,13 @@ def run(options: argparse.Namespace) -> None:
     views = open_views(options.left, options.right, options.layout)
     check_folder(options.out)
     out = Path(options.out)
-    calibration, mask = out / "calibration.json", out / "valid.png"
-    check_free([calibration, mask], overwrite=options.overwrite)
-    write = _write_videos if views.video else _write_images
-    count, failed = write(views, rectification, out, options.overwrite)
+    check_free([out / _CALIBRATION, out / _MASK], overwrite=options.overwrite)
+    if views.video:
+        _write_videos(options, rectification, out)
+        return
+    count, failed = _write_images(views, rectification, out, options.overwrite)
     if count:
-        write_calibration(calibration, rectification.calibration, overwrite=options.overwrite)
-        seen = np.where(rectification.valid, np.uint8(255), np.uint8(0))
-        write_image(mask, np.repeat(seen[:, :, None], 3, axis=2), overwrite=options.overwrite)
-        camera = rectification.calibration
-        print(
-            f"{counted(count, 'pair')} rectified into {out}: focal length {camera.fx:.1f} px, baseline "
-            f"{camera.baseline * 1e3:.2f} mm, {rectification.valid.mean():.0%} seen by both; wrote {calibration}"
-        )
+        _conclude(rectification, out, count, options.overwrite)
     if failed:
         raise InputError(f"{len(failed)} of {count + len(failed)} pairs could not be rectified: {', '.join(failed)}")
 
@@ -91,39 +89,47 @@ def _write_images(views: Views, rectification: Rectification, out: Path, overwri
     return len(names) - len(failed), failed
 
 
-def _write_videos(views: Views, rectification: Rectification, out: Path, overwrite: bool) -> tuple[int, list[str]]:
-    """Two lossless videos, which appear when both are whole."""
+def _write_videos(options: argparse.Namespace, rectification: Rectification, out: Path) -> None:
+    """Two lossless videos, of 16 bits where the views have more than 8. Whatever ends them, they are kept and whole."""
     paths = [out / f"{side}.mkv" for side in ("left", "right")]
-    check_free(paths, overwrite=overwrite)
-    made = not out.exists()
-    make_folder(out)
+    check_free(paths, overwrite=options.overwrite)
     count = 0
     try:
-        with ExitStack() as stack:
-            temporary = [stack.enter_context(atomic_path(path, overwrite=overwrite)) for path in paths]
-            writers = [_writer(path, rectification, views.rate) for path in temporary]
-            try:
-                for _, *pair in tqdm(views.read(None), total=views.length, unit="frame", disable=None):
-                    for writer, view in zip(writers, rectification(pair[0], pair[1]), strict=True):
-                        writer.write(_bgr(view))
+        with open_stereo_video(options.left, options.right, layout=options.layout) as video, ExitStack() as stack:
+            writers: list[VideoWriter] = []
+            for frame in tqdm(video, total=video.length, unit="frame", disable=None):
+                pair = rectification(frame.left, frame.right)
+                with finished_before_interrupt():
+                    if not writers:
+                        make_folder(out)
+                        writers = [
+                            stack.enter_context(_writer(path, view, video.rate, overwrite=options.overwrite))
+                            for path, view in zip(paths, pair, strict=True)
+                        ]
+                    for writer, view in zip(writers, pair, strict=True):
+                        if view.dtype == np.uint8:
+                            writer.write(view, "rgb24", frame.time)
+                        else:
+                            writer.write(np.rint(view * 65535).astype(np.uint16), "rgb48le", frame.time)
                     count += 1
-            finally:
-                for writer in writers:
-                    writer.release()
-    except BaseException:
-        if made:
-            out.rmdir()
-        raise
-    return count, []
+    finally:
+        if count:
+            with finished_before_interrupt():
+                _conclude(rectification, out, count, options.overwrite)
 
 
-def _writer(path: Path, rectification: Rectification, rate: float | None) -> cv2.VideoWriter:
-    height, width = rectification.left_valid.shape
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate or 25.0, (width, height))
-    if not writer.isOpened():
-        raise InputError(f"{str(path)!r} can't be written as a video; this build of OpenCV has no FFV1")
-    return writer
+def _writer(path: Path, view: npt.NDArray[Any], rate: float | None, *, overwrite: bool) -> VideoWriter:
+    pixels = "bgr0" if view.dtype == np.uint8 else "gbrp16le"
+    return VideoWriter(path, codec="ffv1", pixels=pixels, options=FFV1, tags={}, rate=rate, overwrite=overwrite)
 
 
-def _bgr(view: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    return np.ascontiguousarray(to_uint8(view)[:, :, ::-1])
+def _conclude(rectification: Rectification, out: Path, count: int, overwrite: bool) -> None:
+    """Writes what is the same of all pairs, and says what was done."""
+    camera = rectification.calibration
+    write_calibration(out / _CALIBRATION, camera, overwrite=overwrite)
+    seen = np.where(rectification.valid, np.uint8(255), np.uint8(0))
+    write_image(out / _MASK, np.repeat(seen[:, :, None], 3, axis=2), overwrite=overwrite)
+    print(
+        f"{counted(count, 'pair')} rectified into {out}: focal length {camera.fx:.1f} px, baseline "
+        f"{camera.baseline * 1e3:.2f} mm, {rectification.valid.mean():.0%} seen by both; wrote {out / _CALIBRATION}"
+    )

@@ -6,7 +6,7 @@ import sys
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from tqdm import tqdm
 
@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> None:
         check_free([*files.paths, *files.clouds_there()], overwrite=options.overwrite)
         predictor = load_predictor(options)
         try:
-            files.open(predictor)
+            files.open(predictor, None if video.live else video.rate)
             _match(predictor, video, files, options)
         except KeyboardInterrupt:
             if not video.live:
@@ -179,8 +179,8 @@ class VideoFiles:
         pattern = glob.escape(self._stem.name) + f"_*_cloud.{self.options.cloud}"
         return sorted(self._stem.parent.glob(pattern)) if self.options.cloud is not None else []
 
-    def open(self, predictor: Predictor) -> None:
-        """Begins the files.
+    def open(self, predictor: Predictor, rate: float | None) -> None:
+        """Begins the files, of so many frames a second.
 
         Raises:
             InputError: they can't be written.
@@ -190,10 +190,11 @@ class VideoFiles:
         make_folder(options.out)
         scale = options.disparity_scale or fitting_scale(largest_disparity(predictor))
         self._device = str(predictor.device)
-        self._disparity = MapVideoWriter(self.paths[0], scale=scale, overwrite=options.overwrite)
-        self._colors = ColorVideoWriter(self.paths[1], value_range=options.colors, overwrite=options.overwrite)
+        given: Any = {"rate": rate, "overwrite": options.overwrite}
+        self._disparity = MapVideoWriter(self.paths[0], scale=scale, **given)
+        self._colors = ColorVideoWriter(self.paths[1], value_range=options.colors, **given)
         if options.depth is not None:
-            self._metres = MapVideoWriter(self.paths[2], kind="depth", scale=DEPTH_SCALE, overwrite=options.overwrite)
+            self._metres = MapVideoWriter(self.paths[2], kind="depth", scale=DEPTH_SCALE, **given)
 
     def add(self, frame: StereoFrame, result: DisparityResult, predictor: Predictor) -> None:
         """Writes what comes of a frame.

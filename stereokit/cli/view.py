@@ -104,9 +104,9 @@ def _serve(desk: Desk, options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
+    """Refuses options that have no effect, and a page that is there already."""
     if options.min_disparity:
         raise ConfigError("--min-disparity is not for view, whose distributions begin at 0; leave it out")
-    """Refuses options that have no effect, and a page that is there already."""
     if options.rig is not None and options.calibration is not None:
         raise ConfigError("--calibration has no effect beside --rig, which gives that of the rectified pair")
     if options.html is None and options.overwrite:

@@ -31,13 +31,11 @@ class Views:
         read: gives them, from the first one; all, or those of these names alone.
         names: of image pairs; none of a video.
         length: how many pairs there are, None where a video does not say.
-        rate: frames per second of a video that says so.
     """
 
     read: Callable[[Collection[str] | None], Iterator[ViewPair]]
     names: tuple[str, ...]
     length: int | None
-    rate: float | None = None
 
     @property
     def video(self) -> bool:
@@ -56,8 +54,8 @@ def open_views(left: str, right: str | None, layout: Layout | None) -> Views:
         with open_stereo_video(left, right, layout=layout) as video:
             if video.live:
                 raise InputError(f"{left!r} is a live source; record it to a file first")
-            length, rate = video.length, video.rate
-        return Views(lambda names: _frames(left, right, layout, names), (), length, rate)
+            length = video.length
+        return Views(lambda names: _frames(left, right, layout, names), (), length)
     if right is None:
         if layout is None:
             raise ConfigError(

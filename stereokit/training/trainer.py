@@ -91,7 +91,7 @@ def fit(trainer: Trainer, training: StereoTraining, loaders: LightningDataModule
         if isinstance(error.__context__, KeyboardInterrupt):
             # which it has switched off, for good
             signal.signal(signal.SIGINT, interruption)
-            raise KeyboardInterrupt from None
+            raise error.__context__ from None
         raise
 
 

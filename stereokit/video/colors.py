@@ -57,6 +57,7 @@ class ColorVideoWriter:
     Args:
         path: ends in .webm.
         value_range: of the colours in all frames; by default a `RunningRange`.
+        rate: frames per second, see `VideoWriter`.
         overwrite: replace an existing file.
 
     Raises:
@@ -68,6 +69,7 @@ class ColorVideoWriter:
         path: str | os.PathLike[str],
         *,
         value_range: tuple[float, float] | None = None,
+        rate: float | None = None,
         overwrite: bool = False,
     ) -> None:
         if not os.fspath(path).lower().endswith(".webm"):
@@ -76,7 +78,7 @@ class ColorVideoWriter:
         self._running = RunningRange()
         self._canvas: tuple[int, ...] | None = None
         self._video = VideoWriter(
-            path, codec="libvpx-vp9", pixels="yuv420p", options=_VP9, tags={}, overwrite=overwrite
+            path, codec="libvpx-vp9", pixels="yuv420p", options=_VP9, tags={}, rate=rate, overwrite=overwrite
         )
         self.path = self._video.path
 

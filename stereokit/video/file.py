@@ -8,7 +8,7 @@ from typing import Any
 
 from stereokit.errors import InputError, printable
 from stereokit.runtime.optional import import_optional
-from stereokit.video.frames import Picture, Shot
+from stereokit.video.frames import Picture, Shot, decoded_image
 
 __all__ = ["VideoFile"]
 
@@ -66,7 +66,7 @@ class VideoFile:
         """
         for given, frame in enumerate(self.decoded()):
             moment = given / (self.rate or 25) if frame.time is None else frame.time
-            yield (Picture(frame.to_ndarray(format="rgb24"), moment),)
+            yield (Picture(decoded_image(frame), moment),)
 
     def decoded(self) -> Iterator[Any]:
         """The frames as PyAV gives them.

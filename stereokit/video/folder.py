@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from stereokit.data.images import read_image, to_uint8
+from stereokit.data.images import read_image
 from stereokit.data.pairs import find_images
 from stereokit.errors import printable
 from stereokit.video.frames import Picture, Shot
@@ -48,7 +48,7 @@ class ImageSequence:
             InputError: one can't be read.
         """
         for index, path in enumerate(self.paths):
-            yield (Picture(to_uint8(read_image(path)), index * self._step),)
+            yield (Picture(read_image(path), index * self._step),)
 
     def close(self) -> None:
         """Nothing is held open."""

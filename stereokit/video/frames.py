@@ -2,15 +2,15 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Image", "Picture", "Shot", "Source", "StereoFrame"]
+__all__ = ["Image", "Picture", "Shot", "Source", "StereoFrame", "decoded_image"]
 
-Image: TypeAlias = npt.NDArray[np.uint8]
-"""(H, W, 3), RGB."""
+Image: TypeAlias = npt.NDArray[Any]
+"""(H, W, 3), RGB: uint8, or float32 in [0, 1] where the source has more than 8 bits per sample."""
 
 
 class Picture(NamedTuple):
@@ -59,7 +59,7 @@ class StereoFrame:
     """Both views at one time.
 
     Attributes:
-        left: (H, W, 3), uint8, RGB.
+        left: (H, W, 3), RGB: uint8, or float32 in [0, 1] where the source has more than 8 bits per sample.
         right: the same, of the same size.
         index: frames given before this one.
         time: seconds since the first frame, of the left view.
@@ -71,3 +71,11 @@ class StereoFrame:
     index: int
     time: float
     skew: float = 0.0
+
+
+def decoded_image(frame: Any) -> Image:
+    """What PyAV decoded, with all of its bits."""
+    if all(component.bits <= 8 for component in frame.format.components):
+        image: Image = frame.to_ndarray(format="rgb24")
+        return image
+    return frame.to_ndarray(format="rgb48le").astype(np.float32) / np.float32(65535)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from stereokit.errors import InputError
 from stereokit.runtime.optional import import_optional
-from stereokit.video.frames import Picture, Shot
+from stereokit.video.frames import Picture, Shot, decoded_image
 from stereokit.video.places import Place
 
 __all__ = ["Stream"]
@@ -63,7 +63,7 @@ class Stream:
                     if frame.is_corrupt:
                         self.damaged += 1
                     else:
-                        yield (Picture(frame.to_ndarray(format="rgb24"), time.monotonic()),)
+                        yield (Picture(decoded_image(frame), time.monotonic()),)
         except self._error as error:
             raise InputError(f"{self.name} broke off: {error.strerror or type(error).__name__}") from error
 

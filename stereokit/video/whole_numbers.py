@@ -12,7 +12,7 @@ import numpy.typing as npt
 from stereokit.data.disparity_png import KITTI_SCALE
 from stereokit.errors import InputError, printable
 from stereokit.video.file import VideoFile
-from stereokit.video.writing import VideoWriter
+from stereokit.video.writing import FFV1, VideoWriter
 
 __all__ = ["DEPTH_SCALE", "MapVideoWriter", "TimedMap", "fitting_scale", "read_disparity_video", "read_map_video"]
 
@@ -20,8 +20,6 @@ DEPTH_SCALE = 1000.0
 """Of depth: millimetres."""
 
 _MOST = 65535
-# with check sums, so that damage shows
-_FFV1 = {"level": "3", "slicecrc": "1"}
 
 
 class TimedMap(NamedTuple):
@@ -42,6 +40,7 @@ class MapVideoWriter:
         kind: "disparity" in pixels, or "depth" in metres.
         scale: the stored value of one pixel, or one metre. 256, as in KITTI's PNG, holds disparity below 256 px.
         lowest: the least value that can be stored.
+        rate: frames per second, see `VideoWriter`.
         overwrite: replace an existing file.
 
     Attributes:
@@ -69,6 +68,7 @@ class MapVideoWriter:
         kind: str = "disparity",
         scale: float = KITTI_SCALE,
         lowest: float = 0.0,
+        rate: float | None = None,
         overwrite: bool = False,
     ) -> None:
         if not os.fspath(path).lower().endswith(".mkv"):
@@ -77,7 +77,9 @@ class MapVideoWriter:
             raise InputError(f"{printable(path)}: scale must be a positive number, got {scale} and lowest {lowest}")
         self.scale, self.lowest, self.lost = scale, lowest, 0
         tags = {f"{kind}_scale": repr(float(scale)), f"{kind}_lowest": repr(float(lowest))}
-        self._video = VideoWriter(path, codec="ffv1", pixels="gray16le", options=_FFV1, tags=tags, overwrite=overwrite)
+        self._video = VideoWriter(
+            path, codec="ffv1", pixels="gray16le", options=FFV1, tags=tags, rate=rate, overwrite=overwrite
+        )
         self.path = self._video.path
 
     def write(self, values: npt.NDArray[np.floating], time: float) -> None:

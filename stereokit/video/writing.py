@@ -13,7 +13,10 @@ from stereokit.errors import InputError, printable
 from stereokit.files import atomic_path
 from stereokit.runtime.optional import import_optional
 
-__all__ = ["VideoWriter"]
+__all__ = ["FFV1", "VideoWriter"]
+
+FFV1 = {"level": "3", "slicecrc": "1"}
+"""Options of the lossless encoder: with check sums, so that damage shows."""
 
 _MILLISECOND = Fraction(1, 1000)
 
@@ -30,6 +33,7 @@ class VideoWriter:
         pixels: FFmpeg's name of the encoded pixels.
         options: of the encoder.
         tags: what the file says of itself.
+        rate: frames per second, which players show; by default what the times of the frames make it.
         overwrite: replace an existing file.
 
     Raises:
@@ -45,12 +49,14 @@ class VideoWriter:
         pixels: str,
         options: dict[str, str],
         tags: dict[str, str],
+        rate: float | None = None,
         overwrite: bool = False,
     ) -> None:
         self.path = Path(path)
         self.frames = 0
         self._av = import_optional("av", "writing a video")
         self._codec, self._pixels, self._options = codec, pixels, options
+        self._rate = Fraction(0 if rate is None else rate).limit_denominator(1001)
         self._size: tuple[int, int] | None = None
         self._last = -1
         self._file = ExitStack()
@@ -78,6 +84,8 @@ class VideoWriter:
             self._size = (height, width)
             self._track = self._container.add_stream(self._codec, options=self._options)
             self._track.height, self._track.width, self._track.pix_fmt = height, width, self._pixels
+            # without one PyAV says 24
+            self._track.codec_context.framerate = self._rate
             self._track.codec_context.time_base = self._track.time_base = _MILLISECOND
         if self._size != (height, width):
             raise InputError(

@@ -25,7 +25,7 @@ class Views(NamedTuple):
 
 
 class Frame(Protocol):
-    """What a video or a camera gives: both views, (H, W, 3), uint8, RGB, and a number that counts frames."""
+    """What a video or a camera gives: both views, (H, W, 3), RGB, and a number that counts frames."""
 
     @property
     def left(self) -> Image:
@@ -100,7 +100,7 @@ class Frames:
         frame = next(self._frames, None)
         if frame is None:
             return None
-        return Views(f"{self.name}, frame {frame.index}", frame.left, frame.right)
+        return Views(f"{self.name}, frame {frame.index}", to_uint8(frame.left), to_uint8(frame.right))
 
 
 def find_results(place: str | os.PathLike[str], pairs: Sequence[ImagePair]) -> list[Path]:

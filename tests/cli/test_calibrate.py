@@ -1,18 +1,22 @@
 import json
 import re
 import zlib
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from stereokit.calibration import read_calibration
+from stereokit.calibration import read_calibration, write_calibration
 from stereokit.cameras.boards import CharucoBoard, Checkerboard
 from stereokit.cameras.rectification import rectify
 from stereokit.cameras.rendering import RigRenderer, board_plane, board_poses, example_rig
 from stereokit.cameras.rig import read_rig
 from stereokit.data import read_image, write_image
+from stereokit.video import open_stereo_video
+from stereokit.video.writing import FFV1, VideoWriter
 from tests.cli.commands import fails, run
+from tests.video.videos import cut
 
 BOARD = Checkerboard(6, 4, 0.03)
 WORDS = ("--checkerboard", "6x4", "--square", "30mm")
@@ -95,6 +99,7 @@ def test_what_can_not_be_calibrated_is_one_line(views, tmp_path, capsys, monkeyp
         ((left, right, *WORDS, "--out", "absent/rig.json"), "does not exist"),
         ((left, views / "absent", *WORDS), "absent"),
         ((views / "left.mkv", views / "both.mkv", *WORDS), "a pair has one size"),
+        (("camera:0", "camera:1", *WORDS), "there is no camera at camera:0"),
     ]:
         assert message in fails(capsys, "calibrate", *words), words
         assert list(tmp_path.iterdir()) == []
@@ -149,10 +154,85 @@ def test_views_are_rectified_with_their_calibration(views, tmp_path, capsys):
         capsys, "rectify", views / "both.mkv", "--layout", "side-by-side", *options[:3], tmp_path / "video"
     )
     assert code == 0
-    video = cv2.VideoCapture(str(tmp_path / "video" / "right.mkv"))
-    frames = [video.read()[1] for _ in range(4)]
+    with open_stereo_video(tmp_path / "video" / "left.mkv", tmp_path / "video" / "right.mkv") as video:
+        assert (video.rate, video.length) == (10, 16)
+        frames = list(video)
+    assert [frame.time for frame in frames] == pytest.approx(np.arange(16) / 10, abs=1e-3)
     # lossless, but the views went through another video's colours
-    np.testing.assert_allclose(frames[3][:, :, 0].astype(int), rectification(left, right)[1][:, :, 0], atol=2)
+    np.testing.assert_allclose(frames[3].right[:, :, 0].astype(int), rectification(left, right)[1][:, :, 0], atol=2)
+
+
+def test_rectified_videos_keep_sixteen_bits_and_what_is_whole(tmp_path, capsys):
+    TRUE.write(tmp_path / "rig.json")
+    smooth = cv2.resize(np.random.default_rng(0).random((6, 16, 3)), (640, 240)).astype(np.float32)
+    with VideoWriter(tmp_path / "both.mkv", codec="ffv1", pixels="gbrp16le", options=FFV1, tags={}, rate=1) as video:
+        for time in range(6):
+            video.write(np.rint(smooth * 65535).astype(np.uint16), "rgb48le", time)
+    options = ("--layout", "side-by-side", "--rig", tmp_path / "rig.json", "--out")
+    assert run(capsys, "rectify", tmp_path / "both.mkv", *options, tmp_path / "out")[0] == 0
+    with open_stereo_video(tmp_path / "out" / "left.mkv", tmp_path / "out" / "right.mkv") as rectified:
+        frames = list(rectified)
+    expected = rectify(TRUE)(smooth[:, :320], smooth[:, 320:])
+    assert len(frames) == 6
+    for view, wanted in zip((frames[5].left, frames[5].right), expected, strict=True):
+        assert view.dtype == np.float32
+        # steps of 8 bits are 500 times as large
+        np.testing.assert_allclose(view, wanted, atol=1.01 / 65535)
+    cut(tmp_path / "both.mkv", 0.6)
+    code, said, error = run(capsys, "rectify", tmp_path / "both.mkv", *options, tmp_path / "part")
+    assert (code, re.search("ends after 3 of 6 whole frames", error) is not None) == (2, True), error
+    assert "3 pairs rectified" in said
+    assert sorted(path.name for path in (tmp_path / "part").iterdir()) == [
+        *("calibration.json", "left.mkv", "right.mkv", "valid.png")
+    ]
+
+
+def test_calibrations_and_rigs_are_converted_and_scaled(tmp_path, capsys):
+    TRUE.write(tmp_path / "rig.json")
+    camera = rectify(TRUE).calibration
+    write_calibration(tmp_path / "own.json", camera)
+    convert = ("calibrate", "convert")
+    code, said, _ = run(capsys, *convert, tmp_path / "rig.json", tmp_path / "half.json", "--scale-to", 120, 160)
+    assert (code, "a rig for images of 160 x 120 px" in said) == (0, True)
+    half = read_rig(tmp_path / "half.json")
+    assert half == TRUE.scaled(height=120, width=160)
+    # a ray goes through the same place of the resized image, whose borders lie at -0.5
+    rays = np.array([[0.2, 0.1, 1.0], [-0.3, 0.05, 1.0]])
+    np.testing.assert_allclose(half.right.project(rays) + 0.5, (TRUE.right.project(rays) + 0.5) / 2, rtol=1e-12)
+    for kind, name in (
+        ("opencv", "a.yml"), ("opencv", "a.xml"), ("ros", "left.yaml"), ("kitti", "k.txt"), ("middlebury", "m.txt"),
+        ("foundation_stereo", "K.txt"),
+    ):  # fmt: skip
+        assert run(capsys, *convert, tmp_path / "own.json", tmp_path / name, "--kind", kind)[0] == 0
+        found = read_calibration(tmp_path / name)
+        for key in ("fx", "fy", "cx0", "cx1", "cy", "baseline"):
+            assert getattr(found, key) == pytest.approx(getattr(camera, key), rel=1e-9)
+        assert run(capsys, *convert, tmp_path / name, tmp_path / f"{name}.json")[0] == 0
+    assert (tmp_path / "right.yaml").exists()
+    # of K.txt, which says no size
+    for options, words in (
+        ((tmp_path / "K.txt", "new.json", "--scale-to", 120, 160), "does not say the size of its images"),
+        ((tmp_path / "own.json", "new.json", "--size", 120, 160), "--size has no effect on a file that says it"),
+        ((tmp_path / "own.json", "new.json", "--scale-to", 120, 100), "another aspect ratio"),
+        ((tmp_path / "rig.json", "new.json", "--scale-to", 120, 100), "another aspect ratio"),
+        ((tmp_path / "own.json", "new.json", "--unit", "mm"), "is in metres"),
+        ((tmp_path / "rig.json", "new.json", "--kind", "ros"), "--kind has no effect on a rig"),
+        ((tmp_path / "own.json", tmp_path / "rig.json"), "exists already"),
+    ):
+        assert words in fails(capsys, *convert, *options)
+    sized = ("--size", 240, 320, "--scale-to", 120, 160)
+    assert run(capsys, *convert, tmp_path / "K.txt", tmp_path / "sized.json", *sized)[0] == 0
+    assert read_calibration(tmp_path / "sized.json") == camera.scaled(height=120, width=160)
+
+
+def test_a_calibration_in_millimetres_is_refused_until_it_is_said(tmp_path, capsys):
+    camera = replace(rectify(TRUE).calibration, baseline=60.0)
+    write_calibration(tmp_path / "mm.yml", camera)
+    assert "baseline is 60 m, expected 5 mm to 5 m; if the file has another unit" in fails(
+        capsys, "calibrate", "convert", tmp_path / "mm.yml", tmp_path / "m.json"
+    )
+    assert run(capsys, "calibrate", "convert", tmp_path / "mm.yml", tmp_path / "m.json", "--unit", "mm")[0] == 0
+    assert read_calibration(tmp_path / "m.json").baseline == pytest.approx(0.06)
 
 
 def test_views_of_another_size_are_not_rectified(views, tmp_path, capsys):

@@ -1,6 +1,6 @@
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +9,12 @@ import pytest
 
 from stereokit.calibration import Calibration
 from stereokit.cli import video as command
-from stereokit.cli.interrupts import finished_before_interrupt
+from stereokit.cli.interrupts import Terminated, end_in_order, finished_before_interrupt
 from stereokit.data import write_image
 from stereokit.data.inputs import to_pair
+from stereokit.files import atomic_path
 from stereokit.inference import DisparityResult, match_video
+from stereokit.tables import counted
 from stereokit.video import StereoFrame, StereoVideo, open_stereo_video
 from stereokit.video.file import VideoFile
 from stereokit.video.whole_numbers import read_disparity_video, read_map_video
@@ -197,6 +199,65 @@ def test_ctrl_c_of_a_file_keeps_what_was_matched(
     assert code == 130
     assert "clip: 2 frames" in said
     assert len(list(read_disparity_video(out / "clip_disparity.mkv"))) == 2
+
+
+@pytest.fixture
+def ending_in_order() -> Iterator[None]:
+    """Signals as the `stereokit` command has them."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    end_in_order()
+    # as nohup has it
+    assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("ending_in_order")
+@pytest.mark.parametrize("within", ["matching", "writing"])
+def test_a_command_that_is_told_to_end_leaves_whole_files_alone(
+    capsys: pytest.CaptureFixture[str],
+    clip: Path,
+    calibration: Path,
+    tmp_path: Path,
+    predictor: FakePredictor,
+    monkeypatch: pytest.MonkeyPatch,
+    within: str,
+) -> None:
+    write = Path.write_bytes
+
+    def told(self: Path, data: bytes) -> int:
+        if self.suffix == ".ply":
+            # its temporary file is there by now
+            os.kill(os.getpid(), signal.SIGTERM)
+        return write(self, data)
+
+    if within == "writing":
+        monkeypatch.setattr(Path, "write_bytes", told)
+    else:
+        predictor.after = lambda matched: os.kill(os.getpid(), signal.SIGTERM) if matched == 3 else None
+    out = tmp_path / "out"
+    options = ("--calibration", calibration, "--depth", "--cloud", "--every", 9, "--layout", "side-by-side")
+    code, said, _ = run(capsys, "predict", clip, *options, "--out", out)
+    frames = 1 if within == "writing" else 2
+    assert code == 128 + signal.SIGTERM
+    assert f"clip: {counted(frames, 'frame')}" in said
+    names = ["clip_000000_cloud.ply", "clip_depth.mkv", "clip_disparity.mkv", "clip_picture.webm"]
+    assert sorted(path.name for path in out.iterdir()) == names
+    assert len(list(read_disparity_video(out / "clip_disparity.mkv"))) == frames
+
+
+@pytest.mark.usefixtures("ending_in_order")
+def test_a_temporary_file_goes_when_the_process_is_told_to_end(tmp_path: Path) -> None:
+    def write() -> None:
+        with atomic_path(tmp_path / "a.bin") as temporary:
+            temporary.write_bytes(b"half")
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(Terminated):
+        write()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_ctrl_c_waits_for_the_end_of_a_block() -> None:
