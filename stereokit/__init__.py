@@ -2,6 +2,7 @@
 
 from stereokit._version import __version__
 from stereokit.aggregation import (
+    AdaptiveAggregation,
     AttentionHourglass,
     EncoderDecoder,
     GwcHourglass,
@@ -15,6 +16,8 @@ from stereokit.aggregation import (
     StackedHourglass,
 )
 from stereokit.backbones import (
+    BottleneckPyramid,
+    DeformableHourglass,
     DoubleHourglass,
     Embedding,
     FeaturePyramid,
@@ -48,6 +51,8 @@ from stereokit.models import (
     DispNetC,
     FastACVNet,
     FastACVNetPlus,
+    aanet,
+    aanet_plus,
     casstereo_gwc,
     casstereo_psm,
     coex,
@@ -68,7 +73,7 @@ from stereokit.models import (
     stereonet_16x,
 )
 from stereokit.network import StereoNetwork
-from stereokit.refinement import EdgeAwareRefinement
+from stereokit.refinement import EdgeAwareRefinement, WarpedRefinement
 from stereokit.registry import (
     AGGREGATIONS,
     BACKBONES,
@@ -104,13 +109,16 @@ __all__ = [
     "REGRESSIONS",
     "UPSAMPLERS",
     "WEIGHTS",
+    "AdaptiveAggregation",
     "AdditiveGuidance",
     "AttentionHourglass",
+    "BottleneckPyramid",
     "CheckpointError",
     "CombinedVolume",
     "ConcatenationVolume",
     "ConfigError",
     "CorrelationVolume",
+    "DeformableHourglass",
     "DifferenceVolume",
     "DispNetC",
     "DisparityRange",
@@ -160,7 +168,10 @@ __all__ = [
     "TopKSoftArgmin",
     "UNet",
     "UniformCandidates",
+    "WarpedRefinement",
     "__version__",
+    "aanet",
+    "aanet_plus",
     "build_model",
     "casstereo_gwc",
     "casstereo_psm",

@@ -30,8 +30,8 @@ PROTOCOLS: Mapping[str, type] = {
 }
 
 
-OPTIONAL = ("warps",)
-"""What a block need not say: it then does not."""
+OPTIONAL = {"cost": ("warps",), "aggregation": ("scales",), "refinement": ("multiple",)}
+"""What a block need not say: it then does not warp, has one scale, and takes any size."""
 
 
 class Rule(NamedTuple):
@@ -54,8 +54,8 @@ def check_rules(rules: Sequence[Rule]) -> None:
 def check_interface(slot: str, block: object) -> None:
     """Raises `ConfigError` unless a block has all the attributes of its slot; names those that it lacks."""
     protocol = PROTOCOLS[slot]
-    wanted = (name for name in (*protocol.__annotations__, *vars(protocol)) if name[0] != "_" and name not in OPTIONAL)
-    missing = [name for name in wanted if not hasattr(block, name)]
+    wanted = (name for name in (*protocol.__annotations__, *vars(protocol)) if name[0] != "_")
+    missing = [name for name in wanted if not hasattr(block, name) and name not in OPTIONAL.get(slot, ())]
     if missing:
         raise ConfigError(
             f"{slot} {type(block).__name__} lacks {', '.join(missing)}; see stereokit.contracts.{protocol.__name__}"
@@ -91,10 +91,10 @@ def check_network(
         raise ConfigError(f"stages go from coarse to fine; these have strides {', '.join(map(str, strides))}")
     reached = stages[-1].stride // stages[-1].aggregation.upscale // stages[-1].upsampler.scale
     for refinement in refinements:
-        if refinement.stride > reached or reached % refinement.stride:
+        if refinement.stride > reached:
             raise ConfigError(
                 f"{_named('refinement', refinement)} works at stride {refinement.stride}, but what comes to it has "
-                f"stride {reached}; use one that {reached} is a multiple of"
+                f"stride {reached}; use one from 1 to {reached}"
             )
         reached = refinement.stride
     if reached != 1:
@@ -147,6 +147,17 @@ def _check_stage(backbone: Backbone, stage: StageBlocks, refinements: Sequence[R
             *_guide_rules(backbone, names["regression"], regression_guides(stage.regression)),
         ]
     )
+    coarser: Any
+    for scale, coarser in enumerate(stage.coarser_costs, start=1):
+        given = info.matching_channels[stride << scale]
+        name = f"{_named('cost', coarser)} at stride {stride << scale}"
+        check_rules(
+            [
+                Rule(names["backbone"], given, name, coarser.in_channels, "matching channels:"),
+                Rule(name, coarser.out_channels, names["aggregation"], aggregation.in_channels, "volume channels:"),
+                Rule(names["candidates"], candidates.planes >> scale, name, coarser.planes, "planes:"),
+            ]
+        )
     # with refinements, which can enlarge, the upsampler may end anywhere before them
     if not refinements or out_stride % upsampler.scale:
         check_rules([Rule(names["aggregation"], out_stride, names["upsampler"], upsampler.scale, "logits at stride:")])
@@ -185,7 +196,7 @@ def input_multiple(backbone: Backbone, stages: Sequence[StageBlocks], refinement
     return math.lcm(
         backbone.multiple,
         *(stage.stride * stage.aggregation.multiple for stage in stages),
-        *(refinement.stride for refinement in refinements),
+        *(refinement.stride * getattr(refinement, "multiple", 1) for refinement in refinements),
         *guides_read(stages, refinements),
     )
 

@@ -113,6 +113,10 @@ class Choice:
         others = (value for key, value in self.arguments.items() if key != but_for)
         return self.block is None and self.name == name and not any(others)
 
+    def takes(self, name: str) -> bool:
+        """Whether the component can be told this; a block made elsewhere has been told all."""
+        return self.block is None and name in self.registry.parameters(self.name)
+
     def chosen(self, name: str) -> Any:
         """The argument of this name that was given, or what a block made elsewhere has; None without one."""
         return self.arguments.get(name) if self.block is None else getattr(self.block, name, None)

@@ -20,7 +20,7 @@ from stereokit.errors import ConfigError
 from stereokit.model import StereoModel
 from stereokit.network import Preprocessing
 from stereokit.registry import suggest
-from stereokit.stage import Stage
+from stereokit.stage import Stage, scales_of
 
 __all__ = ["compose"]
 
@@ -115,7 +115,7 @@ def _build_stage(
     cost = slots["cost"].build(in_channels=info.matching_channels[stride], planes=candidates.planes)
     aggregation, guidance = _build_aggregation(slots["aggregation"], settings, default, presets, cost, info)
     given = stride // aggregation.upscale
-    if given % ends_at:
+    if given % ends_at and slots["upsampler"].takes("scale"):
         raise ConfigError(
             f"the first refinement works at stride {ends_at}, but {slots['aggregation']} gives logits of stride "
             f"{given}; use a stride that divides it"
@@ -132,11 +132,23 @@ def _build_stage(
     blocks = {
         "candidates": candidates,
         "cost": cost,
+        "coarser_costs": _coarser_costs(slots["cost"], cost, scales_of(aggregation), stride, info),
         "aggregation": aggregation,
         "regression": regression,
         "upsampler": upsampler,
     }
     return blocks, {**{slot: choice.resolved for slot, choice in slots.items()}, **guidance}
+
+
+def _coarser_costs(choice: Choice, finest: Any, scales: int, stride: int, info: FeatureInfo) -> list[Any]:
+    """The cost again at each further scale that the backbone has maps of; none of a block that was made elsewhere."""
+    costs: list[Any] = []
+    for scale in range(1, scales if choice.block is None else 1):
+        channels = info.matching_channels.get(stride << scale)
+        if channels is None:
+            break
+        costs.append(choice.build(in_channels=channels, planes=finest.planes >> scale))
+    return costs
 
 
 def _build_aggregation(

@@ -16,7 +16,7 @@ are in pixels of the full-size image, unless said otherwise.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from torch import Tensor, nn
 
@@ -251,12 +251,15 @@ class Aggregation(Protocol):
     upscale: int
     """The logits are this many times finer than the volume, in all three dimensions; in the planes by the attribute
     `planes_upscale`, where there is one."""
+    scales: int
+    """How many volumes it takes, each half the size of the one before in all three dimensions; 1 may be left out."""
     loss_weights: tuple[float, ...]
     """Weight in the loss of each head, in their order."""
 
-    def __call__(self, volume: Tensor, guides: Guides) -> tuple[Tensor | Distribution, ...]:
+    def __call__(self, volume: Any, guides: Guides) -> tuple[Tensor | Distribution, ...]:
         """(B, in_channels, D, h, w) to one (B, D * upscale, h * upscale, w * upscale) per head, the best one last.
 
+        With several scales it takes the volumes from fine to coarse; heads of coarser scales have as many fewer planes.
         In eval mode it may return the last head alone.
         """
 
@@ -304,6 +307,8 @@ class Refinement(Protocol):
 
     stride: int
     """Of what it gives. It takes that stride or a coarser one."""
+    multiple: int
+    """Height and width of what it gives are multiples of this; 1 may be left out."""
     guide_channels: Mapping[int, int]
     loss_weight: float
 

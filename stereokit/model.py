@@ -40,6 +40,7 @@ class StereoModel(StereoNetwork):
         max_disparity: D, in pixels; estimates lie in [0, D).
         candidates: of the last stage; None for uniform ones.
         stride: of the maps that the last stage compares; None for the backbone's finest.
+        coarser_costs: of the last stage, see `StageBlocks`.
         coarse: the stages ahead of it.
         refinements: what mends the disparity in the end.
         preprocessing: normalisation and padding.
@@ -66,6 +67,7 @@ class StereoModel(StereoNetwork):
         max_disparity: int,
         candidates: Sampler | None = None,
         stride: int | None = None,
+        coarser_costs: Sequence[Cost] = (),
         coarse: Sequence[Stage] = (),
         refinements: Sequence[Refinement] = (),
         preprocessing: Preprocessing | None = None,
@@ -78,6 +80,7 @@ class StereoModel(StereoNetwork):
             candidates = UniformCandidates(max_disparity=max_disparity, stride=self.stride)
         self.candidates = candidates
         self.cost = cost
+        self.coarser_costs = nn.ModuleList(coarser_costs)  # type: ignore[arg-type]
         self.aggregation = aggregation
         self.regression = regression
         self.upsampler = upsampler

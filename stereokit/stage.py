@@ -1,7 +1,7 @@
 """One stage of a network: candidates to predictions, once."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -31,6 +31,7 @@ __all__ = [
     "regression_guides",
     "resample",
     "run_stage",
+    "scales_of",
     "stage_loss_weights",
 ]
 
@@ -41,6 +42,9 @@ class StageBlocks(Protocol):
     stride: int
     candidates: Sampler
     cost: Cost
+    coarser_costs: nn.ModuleList
+    """Of further strides, twice as large each, where the aggregation has several scales and the backbone maps of them;
+    volumes that are missing are averaged from the coarsest there is."""
     aggregation: Aggregation
     regression: Regression
     upsampler: Upsampler
@@ -61,6 +65,7 @@ class Stage(nn.Module):
     Args:
         candidates, cost, aggregation, regression, upsampler: see `stereokit.contracts`.
         stride: of the maps that are compared.
+        coarser_costs: see `StageBlocks`.
         loss_weight: of all of the stage's predictions.
     """
 
@@ -73,11 +78,13 @@ class Stage(nn.Module):
         regression: Regression,
         upsampler: Upsampler,
         stride: int,
+        coarser_costs: Sequence[Cost] = (),
         loss_weight: float = 1.0,
     ) -> None:
         super().__init__()
         self.candidates = candidates
         self.cost = cost
+        self.coarser_costs = nn.ModuleList(coarser_costs)  # type: ignore[arg-type]
         self.aggregation = aggregation
         self.regression = regression
         self.upsampler = upsampler
@@ -111,15 +118,18 @@ def run_stage(
         confidence: give that of the best one; not in training.
     """
     stride, upsampler = blocks.stride, blocks.upsampler
-    maps = left.matching[stride], right.matching[stride]
     candidates, weights = blocks.candidates(left, right, before)
-    planes = None
-    if candidates is not None:
-        planes = resample(candidates, (blocks.cost.planes, *maps[0].shape[-2:]), batch=len(maps[0]))
-    volume = blocks.cost(*maps) if planes is None else blocks.cost(*maps, planes / stride)
-    if weights is not None:
-        volume = volume * resample(weights, tuple(volume.shape[2:]), batch=len(volume)).unsqueeze(1).to(volume.dtype)
-    given = blocks.aggregation(volume, guides)
+    volume, planes = _volume(blocks.cost, left, right, stride, candidates, weights)
+    scales = scales_of(blocks.aggregation)
+    if scales == 1:
+        given = blocks.aggregation(volume, guides)
+    else:
+        volumes = [volume]
+        for scale, cost in enumerate(blocks.coarser_costs, start=1):
+            volumes.append(_volume(cost, left, right, stride << scale, candidates, weights)[0])
+        while len(volumes) < scales:
+            volumes.append(F.avg_pool3d(volumes[-1], 2))
+        given = blocks.aggregation(volumes, guides)
     heads = [_distribution(head, blocks, stride, planes) for head in (given if training else given[-1:])]
     if not training:
         best = heads[-1]
@@ -135,6 +145,25 @@ def run_stage(
             predictions.append(Prediction(coarse, head.stride, head))
         predictions.append(_upsampled(coarse, head, blocks, guides))
     return StageOutput(tuple(predictions), None)
+
+
+def scales_of(aggregation: Aggregation) -> int:
+    """How many volumes an aggregation takes."""
+    return int(getattr(aggregation, "scales", 1))
+
+
+def _volume(
+    cost: Any, left: Features, right: Features, stride: int, candidates: Tensor | None, weights: Tensor | None
+) -> tuple[Tensor, Tensor | None]:
+    """The volume of the maps of a stride, and the px of its planes where they are not uniform."""
+    maps = left.matching[stride], right.matching[stride]
+    planes = None
+    if candidates is not None:
+        planes = resample(candidates, (cost.planes, *maps[0].shape[-2:]), batch=len(maps[0]))
+    volume: Tensor = cost(*maps) if planes is None else cost(*maps, planes / stride)
+    if weights is not None:
+        volume = volume * resample(weights, tuple(volume.shape[2:]), batch=len(volume)).unsqueeze(1).to(volume.dtype)
+    return volume, planes
 
 
 def guides_read(stages: Sequence[StageBlocks], refinements: Sequence[Refinement]) -> list[int]:
@@ -182,11 +211,14 @@ def _distribution(head: Tensor | Distribution, blocks: StageBlocks, stride: int,
     values = None if planes is None else resample(planes, tuple(logits.shape[1:]), batch=len(logits))
     if isinstance(head, Distribution):
         return head if values is None else head._replace(values=values)
-    spacing = blocks.candidates.spacing / planes_upscale(blocks.aggregation)
+    upscale, ours = blocks.aggregation.upscale, planes_upscale(blocks.aggregation)
+    # how much coarser a head of another scale is
+    coarser = 1 if scales_of(blocks.aggregation) == 1 else blocks.cost.planes * ours // head.shape[1]
+    spacing = blocks.candidates.spacing * coarser / ours
     # a plane that is going to be divided is the middle of the fine ones, the first of which is 0
     fine = spacing / (planes_scale(blocks.upsampler) if blocks.upsampler.domain == "volume" else 1)
     parts = levels_of(blocks.upsampler, head.shape[1]) / head.shape[1]
-    return Distribution(head, stride // blocks.aggregation.upscale, fine * parts, (parts - 1) / 2 * fine, values=values)
+    return Distribution(head, stride * coarser // upscale, fine * parts, (parts - 1) / 2 * fine, values=values)
 
 
 def planes_upscale(aggregation: Aggregation) -> int:
@@ -238,8 +270,10 @@ def _regress(
 
 
 def _upsampled(disparity: Tensor, head: Distribution, blocks: StageBlocks, guides: Guides) -> Prediction:
-    """The disparity at the resolution that the upsampler ends at."""
+    """The disparity at the resolution that the upsampler ends at, or at its own of a coarser scale."""
     upsampler = blocks.upsampler
     if upsampler.domain == "disparity":
+        if head.stride != blocks.stride // blocks.aggregation.upscale:
+            return Prediction(disparity, head.stride, head)
         disparity = upsampler(disparity, guides)
     return Prediction(disparity, head.stride // upsampler.scale, head)

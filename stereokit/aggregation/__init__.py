@@ -1,5 +1,6 @@
 """Cost volumes to logits over disparity."""
 
+from stereokit.aggregation.adaptive import AdaptiveAggregation, CrossScale
 from stereokit.aggregation.attention_hourglass import AttentionHourglass
 from stereokit.aggregation.attention_propagation import AttentionPropagation, propagate_attention
 from stereokit.aggregation.encoder_decoder import EncoderDecoder
@@ -14,8 +15,10 @@ from stereokit.aggregation.shortcut_hourglass import ShortcutHourglass
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
 
 __all__ = [
+    "AdaptiveAggregation",
     "AttentionHourglass",
     "AttentionPropagation",
+    "CrossScale",
     "EncoderDecoder",
     "GwcHourglass",
     "Hourglass",

@@ -1,5 +1,7 @@
 """Images to matching features and guides."""
 
+from stereokit.backbones.bottleneck_pyramid import BottleneckPyramid
+from stereokit.backbones.deformable_hourglass import DeformableHourglass
 from stereokit.backbones.double_hourglass import DoubleHourglass
 from stereokit.backbones.embedding import Embedding
 from stereokit.backbones.encoder import MobileNetV2Encoder, TimmEncoder
@@ -14,6 +16,8 @@ from stereokit.backbones.top_down_pyramid import TopDownPyramid
 from stereokit.backbones.unet import UNet
 
 __all__ = [
+    "BottleneckPyramid",
+    "DeformableHourglass",
     "DoubleHourglass",
     "Embedding",
     "FeaturePyramid",

@@ -1,51 +1,19 @@
 """The feature extractor of GANet: an hourglass run through twice, and a branch that guides."""
 
-from itertools import pairwise
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stereokit.contracts import FeatureInfo, Features
-from stereokit.layers import ConvNormAct, ResampleStep, init_convolutions, relu
+from stereokit.layers import ConvNormAct, TwofoldHourglass, init_convolutions, relu
 from stereokit.registry import BACKBONES
 
 __all__ = ["DoubleHourglass"]
-
-WIDTHS = (32, 48, 64, 96, 128)
-"""At strides 3 to 48."""
 
 
 def conv(in_channels: int, out_channels: int, kernel_size: int = 3, stride: int = 1) -> ConvNormAct:
     """With ReLU."""
     return ConvNormAct(in_channels, out_channels, kernel_size, stride=stride, activation=relu)
-
-
-class Hourglass(nn.Module):
-    """Down to stride 48 and up again, twice; every step but those of the first descent takes in a skip."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        downs, ups = list(pairwise(WIDTHS)), list(pairwise(reversed(WIDTHS)))
-        self.stem = nn.Sequential(conv(3, 32), conv(32, 32, 5, stride=3), conv(32, 32))
-        self.down1 = nn.ModuleList(conv(*widths, stride=2) for widths in downs)
-        self.up1 = nn.ModuleList(ResampleStep(*widths, up=True) for widths in ups)
-        self.down2 = nn.ModuleList(ResampleStep(*widths, up=False) for widths in downs)
-        self.up2 = nn.ModuleList(ResampleStep(*widths, up=True) for widths in ups)
-
-    def forward(self, images: Tensor) -> Tensor:
-        """(B, 3, H, W) to (B, 32, H/3, W/3)."""
-        x = self.stem(images)
-        # the latest map of each scale, from fine to coarse
-        latest = [x]
-        for down in self.down1:
-            latest.append(down(latest[-1]))
-        for steps, direction in ((self.up1, -1), (self.down2, 1), (self.up2, -1)):
-            x, scale = latest[-1 if direction < 0 else 0], len(latest) - 1 if direction < 0 else 0
-            for step in steps:
-                scale += direction
-                x = latest[scale] = step(x, latest[scale])
-        return x
 
 
 class GuidanceBranch(nn.Module):
@@ -90,13 +58,14 @@ class DoubleHourglass(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.hourglass = Hourglass()
+        self.stem = nn.Sequential(conv(3, 32), conv(32, 32, 5, stride=3), conv(32, 32))
+        self.hourglass = TwofoldHourglass()
         self.left_head, self.right_head = conv(32, 32), conv(32, 32)
         self.guidance = GuidanceBranch()
         self.info = FeatureInfo(matching_channels={3: 32}, guide_channels={1: 16, 3: 32, 6: 48})
 
     def forward(self, left: Tensor, right: Tensor) -> tuple[Features, Features]:
         """Images to features."""
-        of_left, of_right = self.hourglass(torch.cat((left, right))).chunk(2)
+        of_left, of_right = self.hourglass(self.stem(torch.cat((left, right)))).chunk(2)
         guides = self.guidance(left, of_left)
         return Features({3: self.left_head(of_left)}, guides), Features({3: self.right_head(of_right)}, {})

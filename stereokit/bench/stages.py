@@ -43,6 +43,8 @@ def stages_of(model: StereoNetwork) -> Iterator[tuple[str, nn.Module]]:
     if not model.candidates.fixed:
         yield "candidates", model.get_submodule("candidates")
     yield from ((stage, model.get_submodule(slot)) for slot, stage in STAGES.items() if slot != "backbone")
+    for number, cost in enumerate(model.coarser_costs, start=1):
+        yield f"cost volume at stride {model.stride << number}", cost
     for number, refinement in enumerate(model.refinements, start=1):
         yield f"refinement {number}", refinement
 

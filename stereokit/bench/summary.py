@@ -1,13 +1,16 @@
 """What a network costs: parameters and multiply-adds, block by block."""
 
 import copy
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import nn
 
 from stereokit.config import NetworkConfig
+from stereokit.layers import DeformableConvolution
 from stereokit.network import StereoNetwork
 
 __all__ = ["BlockCost", "model_summary"]
@@ -54,7 +57,7 @@ def model_summary(model: StereoNetwork, height: int = 384, width: int = 1248) ->
     # on the meta device shapes are worked out without data
     twin = copy.deepcopy(model).to("meta").eval()
     image = torch.empty(1, 3, height, width, device="meta")
-    with FlopCounterMode(display=False) as counter, torch.no_grad():
+    with FlopCounterMode(display=False, custom_mapping=_of_torchvision(model)) as counter, torch.no_grad():
         twin(image, image)
     flops = {name: sum(ops.values()) for name, ops in counter.get_flop_counts().items()}
     return [
@@ -73,6 +76,18 @@ def _of_block(flops: Mapping[str, int], path: str) -> int:
     """Of a block, or of its parts where it is used by another method than its forward."""
     parts = (count for name, count in flops.items() if name.rpartition(".")[0] == path)
     return flops[path] if path in flops else sum(parts)
+
+
+def _of_torchvision(model: StereoNetwork) -> dict[Any, Any]:
+    """How operations are counted that PyTorch does not know."""
+    if not any(isinstance(module, DeformableConvolution) for module in model.modules()):
+        return {}
+    import torchvision.ops  # noqa: F401, which registers it
+
+    def deformable(_x: Any, weight: Sequence[int], *_others: Any, out_shape: Sequence[int], **_named: Any) -> int:
+        return 2 * math.prod(out_shape) * math.prod(weight[1:])
+
+    return {torch.ops.torchvision.deform_conv2d: deformable}
 
 
 def _blocks(model: StereoNetwork, config: NetworkConfig) -> Iterator[tuple[str, str, nn.Module]]:

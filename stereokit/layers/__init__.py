@@ -1,6 +1,7 @@
 """Layers that blocks share."""
 
 from stereokit.layers.act_norm import ActNormResidual, conv_act_norm
+from stereokit.layers.bottleneck import Bottleneck
 from stereokit.layers.casting import as_float, at_least_float32
 from stereokit.layers.conv_gru import ConvGRU
 from stereokit.layers.convolution import (
@@ -13,6 +14,7 @@ from stereokit.layers.convolution import (
     named_activation,
     relu,
 )
+from stereokit.layers.deformable import DeformableConvolution, deformable_convolution, sampled_convolution
 from stereokit.layers.image_stem import image_stem
 from stereokit.layers.interpolation import bilinear_upsample
 from stereokit.layers.inverted_residual import InvertedResidual
@@ -20,15 +22,18 @@ from stereokit.layers.pooling import cell_means, tent_means
 from stereokit.layers.resample_step import ResampleStep
 from stereokit.layers.residual import ResidualBlock, SeparableBlock, residual_layer
 from stereokit.layers.searched_cell import CellNodes, LevelPath, SearchedCell, level_size, resize
+from stereokit.layers.twofold_hourglass import TwofoldHourglass
 from stereokit.layers.up_step import UpStep
 from stereokit.layers.warp import warp
 
 __all__ = [
     "ActNormResidual",
     "Activation",
+    "Bottleneck",
     "CellNodes",
     "ConvGRU",
     "ConvNormAct",
+    "DeformableConvolution",
     "InvertedResidual",
     "LevelPath",
     "Norm",
@@ -36,6 +41,7 @@ __all__ = [
     "ResidualBlock",
     "SearchedCell",
     "SeparableBlock",
+    "TwofoldHourglass",
     "UpStep",
     "as_float",
     "at_least_float32",
@@ -43,6 +49,7 @@ __all__ = [
     "cell_means",
     "conv_act_norm",
     "crop_to",
+    "deformable_convolution",
     "image_stem",
     "init_convolutions",
     "leaky_relu",
@@ -51,6 +58,7 @@ __all__ = [
     "relu",
     "residual_layer",
     "resize",
+    "sampled_convolution",
     "tent_means",
     "warp",
 ]

@@ -1,5 +1,6 @@
 """Networks: a recipe of a page each."""
 
+from stereokit.models.aanet import aanet, aanet_plus
 from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
 from stereokit.models.coex import coex
 from stereokit.models.crl import CRL
@@ -32,6 +33,8 @@ __all__ = [
     "RAFTStereoRealtime",
     "ResNetCorr",
     "SegStereo",
+    "aanet",
+    "aanet_plus",
     "casstereo_gwc",
     "casstereo_psm",
     "coex",

@@ -63,9 +63,8 @@ def _pass(letter: str, number: int) -> list[tuple[str, str]]:
     ]
 
 
-FEATURES = KeyMap(
+HOURGLASS = KeyMap(
     [
-        *layer("conv_start.{n}.", "stem.{n}."),
         *(pair for n in range(4) for pair in layer(f"conv{n + 1}a.", f"down1.{n}.")),
         *(pair for n in range(4) for pair in _step(f"deconv{n + 1}a.", f"up1.{3 - n}.")),
         *(pair for n in range(4) for pair in _step(f"conv{n + 1}b.", f"down2.{n}.")),
@@ -74,7 +73,8 @@ FEATURES = KeyMap(
 )
 
 KEYS = (
-    *FEATURES.under("feature.", "backbone.hourglass."),
+    *layer("feature.conv_start.{n}.", "backbone.stem.{n}."),
+    *HOURGLASS.under("feature.", "backbone.hourglass."),
     *layer("conv_x.", "backbone.left_head."),
     *layer("conv_y.", "backbone.right_head."),
     *layer("conv_start.{n}.", "backbone.guidance.image.{n}."),

@@ -120,7 +120,7 @@ class StereoTraining(LightningModule):
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """The recipe's; `on_train_batch_start` sets its learning rate."""
-        return self.recipe.optimisation.optimiser(self.parameters())
+        return self.recipe.optimisation.optimiser(self.model.named_parameters())
 
     def on_train_start(self) -> None:
         """Starts the clock."""
@@ -133,7 +133,7 @@ class StereoTraining(LightningModule):
         progress = self.progress
         rate = self.recipe.optimisation.learning_rate * self.recipe.schedule.learning_rate_factor(progress)
         for group in self.optimizers().param_groups:  # type: ignore[union-attr]
-            group["lr"] = rate
+            group["lr"] = rate * group["factor"]
         if progress >= 1 or self.trainer.global_step + 1 >= self.steps:
             self.trainer.should_stop = True
         self.log("learning_rate", rate)

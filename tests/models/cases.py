@@ -113,6 +113,13 @@ def _gwcnet(name: str) -> Golden:
     return Golden(name, norm=(0.5, 0.75), taps=taps)
 
 
+def _aanet(recorded: str, parameters: int, **rest: Any) -> Case:
+    taps = {"cost_3": Tap("cost", "4/4"), "logits_3": Tap("aggregation", "3/3", item=-1)}
+    golden = Golden(recorded, norm=(0.4, 0.65), taps=taps)
+    # the coarse outputs of the last module; 71,280 at 192 px
+    return Case(parameters=parameters, training_only=4_524, golden=golden, max_disparity=48, **rest)
+
+
 def _casstereo(name: str, lowest: float, head1: str) -> Golden:
     return Golden(
         name,
@@ -286,6 +293,8 @@ CASES: dict[str, Case] = {
         # one cell whose best two tie reaches nine cells by superpixels
         size=(96, 160),
     ),
+    "aanet": _aanet("aanet", 4_002_956, size=(60, 96)),
+    "aanet_plus": _aanet("aanetplus", 8_514_130, size=(96, 96)),
     "dispnetc": Case(
         parameters=42_429_110,
         golden=Golden(

@@ -13,6 +13,9 @@ REFINED = [{"name": "edge_aware", "channels": 8, "dilations": [1, 2]}]
 PYRAMID = {"name": "top_down_pyramid", "base": "spatial_pyramid"}
 GWC = {"name": "gwc_hourglass", "channels": 8}
 
+THIRDS = {"name": "bottleneck_pyramid", "scales": 1}
+ADAPTIVE = {"name": "adaptive", "modules": 2, "deformable": 1}
+
 SWAPS = [
     ("coex", {"aggregation": GWC, "guidance_at": "one"}),
     ("psmnet", {"aggregation": GWC, "guidance": "gce", "guidance_at": "full"}),
@@ -103,6 +106,20 @@ SWAPS = [
     ("coex", {"aggregation": {"name": "separable_hourglass", "channels": 8}, "guidance_at": "one"}),
     ("psmnet", {"aggregation": {"name": "separable_hourglass", "dims": 2}, "guidance": "gce", "guidance_at": "full"}),
     ("gwcnet_g", {"aggregation": {"name": "separable_hourglass", "dims": 2}}),
+    ("gcnet", {"aggregation": ADAPTIVE, "upsampler": "bilinear"}),
+    ("coex", {"aggregation": ADAPTIVE, "guidance_at": "one"}),
+    ("psmnet", {"aggregation": ADAPTIVE, "guidance": "gce", "guidance_at": "full"}),
+    ("coex", {"refinements": ["warped"]}),
+    ("psmnet", {"refinements": [{"name": "warped", "body": "hourglass"}]}),
+    ("stereonet_8x", {"backbone": THIRDS, "refinements": REFINED, "max_disparity": 48}),
+    ("psmnet", {"backbone": THIRDS, "max_disparity": 48}),
+    (
+        "stereonet_8x",
+        {"backbone": THIRDS | {"name": "deformable_hourglass"}, "refinements": REFINED, "max_disparity": 48},
+    ),
+    ("psmnet", {"backbone": {"name": "deformable_hourglass", "scales": 1, "deformable": False}, "max_disparity": 48}),
+    ("aanet", {"guidance": "gce", "top_k": 2, "max_disparity": 48}),
+    ("aanet_plus", {"cost": {"name": "concatenation", "projection": [8]}, "max_disparity": 48}),
 ]
 
 

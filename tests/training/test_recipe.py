@@ -108,10 +108,23 @@ def test_a_recipe_from_before_a_setting_existed_means_the_same():
 )
 def test_the_optimiser_is_what_the_recipe_says(settings, kind, options):
     optimisation = Optimisation(learning_rate=0.5, **settings)
-    optimiser = optimisation.optimiser([torch.nn.Parameter(torch.ones(1))])
+    optimiser = optimisation.optimiser([("weight", torch.nn.Parameter(torch.ones(1)))])
     assert type(optimiser) is kind
     expected = {"lr": 0.5, "weight_decay": optimisation.weight_decay, **options}
     assert {key: optimiser.defaults[key] for key in expected} == expected
+
+
+def test_some_weights_are_slower():
+    optimisation = Optimisation(learning_rate=0.5, factors={"places": 0.1})
+    names = ("conv.places.weight", "places.bias", "placeses.weight", "conv.weight")
+    weights = {name: torch.nn.Parameter(torch.ones(1)) for name in names}
+    optimiser = optimisation.optimiser(weights.items())
+    rates = {id(p): group["lr"] for group in optimiser.param_groups for p in group["params"]}
+    assert [rates[id(p)] for p in weights.values()] == [0.05, 0.05, 0.5, 0.5]
+    with pytest.raises(ConfigError, match="no weight has 'places' in its name"):
+        optimisation.optimiser([("weight", torch.nn.Parameter(torch.ones(1)))])
+    with pytest.raises(ConfigError, match="factor of 'places' has to be a positive number"):
+        Optimisation(factors={"places": -1})
 
 
 ODD = {
