@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from stereokit.bench.budget import Budget
+from stereokit.bench.stages import REST
 from stereokit.errors import ConfigError
 from stereokit.files import atomic_path
 from stereokit.runtime.memory import format_memory
@@ -121,7 +122,9 @@ class Benchmark:
         split = [row for row in self.rows if row.stages]
         if not split:
             return None
-        stages = list(split[0].stages or {})
+        found = dict.fromkeys(stage for row in split for stage in row.stages or {})
+        # last, also where a later network has stages that the first one lacks
+        stages = [*(stage for stage in found if stage != REST), *(stage for stage in found if stage == REST)]
         columns = [("network", [row.name for row in split])]
         columns += [(heading, cells) for heading, cells in self._identities(split) if len(set(cells)) > 1]
         columns += [(stage, [_milliseconds((row.stages or {}).get(stage)) for row in split]) for stage in stages]

@@ -25,10 +25,11 @@ STAGES: dict[str, str] = {
 """The slots of `StereoModel` and what the paper of CoEx calls them."""
 
 REST = "rest"
+"""What lies between the stages."""
 
 
 def stages_of(model: StereoNetwork) -> Iterator[tuple[str, nn.Module]]:
-    """The stages of a network by name, in the order in which they run.
+    """The stages of a network by name, in the order in which they run; several blocks can make up one.
 
     >>> from stereokit import build_model
     >>> [name for name, _ in stages_of(build_model("gcnet", max_disparity=32))]
@@ -43,18 +44,16 @@ def stages_of(model: StereoNetwork) -> Iterator[tuple[str, nn.Module]]:
     if not model.candidates.fixed:
         yield "candidates", model.get_submodule("candidates")
     yield from ((stage, model.get_submodule(slot)) for slot, stage in STAGES.items() if slot != "backbone")
-    for number, cost in enumerate(model.coarser_costs, start=1):
-        yield f"cost volume at stride {model.stride << number}", cost
-    for number, refinement in enumerate(model.refinements, start=1):
-        yield f"refinement {number}", refinement
+    yield from ((STAGES["cost"], cost) for cost in model.coarser_costs)
+    yield from (("refinement", refinement) for refinement in model.refinements)
 
 
 class StageClock:
     """Splits the passes of a network in its block into stages.
 
-    Stages are the slots of a network made of slots, with each coarse stage and each refinement as one; of any other
-    network its children, by name. The clock is read before and after each, and waits for the device each time, so that
-    the passes take a little longer than without it on a GPU. The regression has its confidence with it. What lies
+    Stages are the slots of a network made of slots, with each coarse stage as one, and all refinements as one; of any
+    other network its children, by name. The clock is read before and after each, and waits for the device each time, so
+    that the passes take a little longer than without it on a GPU. The regression has its confidence with it. What lies
     between them is the "rest": normalisation, padding, cropping.
 
     Args:
@@ -76,12 +75,12 @@ class StageClock:
         self.passes: list[dict[str, float]] = []
         """Seconds by stage, of each pass; they sum to the whole pass."""
         self._handles: list[RemovableHandle] = []
-        self._stages = dict(stages_of(model))
+        self._stages = list(stages_of(model))
         self._spent: dict[str, float] = {}
         self._started: dict[str, float] = {}
 
     def __enter__(self) -> "StageClock":
-        for stage, block in self._stages.items():
+        for stage, block in self._stages:
             self._watch(block, partial(self._begin, stage), partial(self._end, stage))
             # no hook is called for what is not a forward
             if callable(method := getattr(block, "with_confidence", None)):
@@ -95,7 +94,7 @@ class StageClock:
         for handle in self._handles:
             handle.remove()
         self._handles.clear()
-        for block in self._stages.values():
+        for _, block in self._stages:
             vars(block).pop("with_confidence", None)
 
     def _watch(self, module: Any, begin: Callable[[], None], end: Callable[[], None]) -> None:
@@ -112,7 +111,7 @@ class StageClock:
     def _end_pass(self) -> None:
         self._end("pass")
         whole = self._spent.pop("pass")
-        stages = {stage: self._spent[stage] for stage in self._stages}
+        stages = {stage: self._spent[stage] for stage, _ in self._stages}
         self.passes.append({**stages, REST: whole - sum(stages.values())})
 
     def _begin(self, stage: str) -> None:

@@ -96,7 +96,8 @@ def _blocks(model: StereoNetwork, config: NetworkConfig) -> Iterator[tuple[str, 
         if not isinstance(block, nn.ModuleList):
             yield slot, _name(config.get(slot)), block
             continue
-        listed = config.get(slot) or [None] * len(block)
+        # the coarser costs are the cost once more
+        listed = config.get(slot) or [config.get("cost") if slot == "coarser_costs" else None] * len(block)
         for number, (part, choice) in enumerate(zip(block, listed, strict=True)):
             yield f"{slot}.{number}", _name(choice), part
 

@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> None:
     config = model.config
     guidance = f"guidance {config['guidance']['name']} ({config['guidance_at']}), " if "guidance" in config else ""
     print(f"{config['name']}: max_disparity {model.max_disparity}, {guidance}one pair of {width} x {height} px")
-    line = "{:12}  {:22}  {:27}  {:>12}  {:>10}".format
+    line = "{:15}  {:22}  {:27}  {:>12}  {:>10}".format
     print(line("slot", "block", "class", "parameters", "GMACs"))
     for block in blocks:
         gmacs = f"{block.multiply_adds / 1e9:.3f}"

@@ -64,6 +64,11 @@ def test_limits_and_stages() -> None:
     assert stages is not None
     assert stages.columns == ("network", "feature extraction", "rest", "sum")
     assert stages.rows == (("coex", "100.0", "50.0", "150.0"),)
+    refined = replace(ROW, name="aanet", stages={"feature extraction": 0.1, "refinement": 0.2, "rest": 0.05})
+    stages = benchmark(split, refined).stage_table()
+    assert stages is not None
+    assert stages.columns == ("network", "feature extraction", "refinement", "rest", "sum")
+    assert [row[2] for row in stages.rows] == ["-", "200.0"]
     assert benchmark(ROW).stage_table() is None
 
 

@@ -17,9 +17,9 @@ class SlotClock:
         return float(self.readings)
 
 
-@pytest.mark.parametrize("name", ["coex", "psmnet", "gcnet"])
+@pytest.mark.parametrize("name", ["coex", "psmnet", "gcnet", "aanet"])
 def test_stages_of_every_network_sum_to_the_pass(name: str) -> None:
-    model = build_model(name, max_disparity=64).eval()
+    model = build_model(name, max_disparity=96).eval()
     images = torch.rand(2, 1, 3, 64, 64)
     clock = SlotClock()
     with torch.inference_mode():
