@@ -18,7 +18,7 @@ from stereokit.export.calibration import SYNTHETIC, find_pairs
 from stereokit.optimize import prepare_for_inference
 from stereokit.registry import suggest
 from stereokit.runtime.precision import DTYPES, dtype_of
-from stereokit.weights.opening import find_network, load_network
+from stereokit.weights.opening import find_network, load_network, set_iterations
 from stereokit.weights.places import FILE_BACKENDS
 
 __all__ = ["BACKENDS", "PRECISIONS", "Candidate", "Ready", "Source", "image_pair", "rival_source", "source_of"]
@@ -48,6 +48,7 @@ class Candidate:
         height, width: of the images.
         batch: pairs at once.
         max_disparity: D, in pixels; None for the network's own.
+        iterations: of a recurrent network; None for the network's own.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Candidate:
     width: int = 1248
     batch: int = 1
     max_disparity: int | None = None
+    iterations: int | None = None
 
     def build(self) -> Any:
         """The network, or the matcher; its random weights are the same each time.
@@ -68,6 +70,8 @@ class Candidate:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
             made = self.source() if self.max_disparity is None else self.source(max_disparity=self.max_disparity)
+        if self.iterations is not None:
+            set_iterations(made, self.iterations)
         return made.eval() if isinstance(made, nn.Module) else made
 
     def export(self, folder: str) -> Path | None:

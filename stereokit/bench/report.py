@@ -30,6 +30,7 @@ class Row:
     Attributes:
         name, backend, precision, height, width, batch: see `Candidate`.
         max_disparity: D, in pixels.
+        iterations: of a recurrent network.
         parameters: learned numbers.
         multiply_adds: of convolutions and matrix products, for the whole batch.
         first_seconds: from building to the end of the first run, compilation included.
@@ -51,6 +52,7 @@ class Row:
     width: int
     batch: int
     max_disparity: int | None
+    iterations: int | None = None
     parameters: int | None = None
     multiply_adds: int | None = None
     first_seconds: float | None = None
@@ -133,7 +135,9 @@ class Benchmark:
 
     def heading(self) -> str:
         """What all rows share, the machine and its load, in a few lines."""
-        common = [f"{name} {cells[0]}" for name, cells in self._identities() if len(set(cells)) == 1]
+        common = [
+            f"{name} {cells[0]}" for name, cells in self._identities() if len(set(cells)) == 1 and cells[0] != NONE
+        ]
         where = ", ".join([self.machine["processor"], *self.machine["accelerators"]])
         load = " to ".join(NONE if value is None else f"{value:.2f}" for value in self.load)
         lines = [
@@ -210,6 +214,7 @@ class Benchmark:
             ("size", [f"{row.height} x {row.width}" for row in rows]),
             ("batch", [str(row.batch) for row in rows]),
             ("D", [NONE if row.max_disparity is None else str(row.max_disparity) for row in rows]),
+            ("iterations", [NONE if row.iterations is None else str(row.iterations) for row in rows]),
         ]
 
     def _tick(self, row: Row) -> str:

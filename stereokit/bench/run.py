@@ -41,6 +41,7 @@ class _Prepared:
     first_seconds: float
     peak_memory: int | None
     max_disparity: int | None
+    iterations: int | None
 
 
 def run_benchmark(
@@ -141,6 +142,7 @@ def _prepare(candidate: Candidate, device: torch.device, warmup: int, clock: Clo
         blocks = model_summary(network, candidate.height, candidate.width)
         multiply_adds = candidate.batch * sum(block.multiply_adds for block in blocks)
     max_disparity = getattr(network, "max_disparity", getattr(network, "search_range", None))
+    iterations = getattr(network, "test_iterations", None)
     # from here on, with all imports done, the memory is the candidate's own
     del network
     images = image_pair(candidate, device)
@@ -173,6 +175,7 @@ def _prepare(candidate: Candidate, device: torch.device, warmup: int, clock: Clo
         first_seconds=first_seconds,
         peak_memory=peak.bytes(),
         max_disparity=max_disparity,
+        iterations=iterations,
     )
 
 
@@ -220,10 +223,11 @@ def _split(
 
 
 def _row(candidate: Candidate, ready: _Prepared | None, failure: Exception | None) -> Row:
-    measured: dict[str, Any] = {"max_disparity": candidate.max_disparity}
+    measured: dict[str, Any] = {"max_disparity": candidate.max_disparity, "iterations": candidate.iterations}
     if ready is not None:
         measured = {
             "max_disparity": ready.max_disparity,
+            "iterations": ready.iterations,
             "parameters": ready.parameters,
             "multiply_adds": ready.multiply_adds,
             "first_seconds": ready.first_seconds,

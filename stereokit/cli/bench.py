@@ -58,6 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-disparity", nargs="+", type=int, default=[None], metavar="D", help="(default: the network's own)"
     )
+    parser.add_argument(
+        "--iterations",
+        nargs="+",
+        type=int,
+        default=[None],
+        metavar="N",
+        help="of networks that mend a disparity in rounds (default: the network's own)",
+    )
     parser.add_argument("--device", default="auto", help=DEVICE_HELP)
     parser.add_argument("--repeats", type=int, default=20, metavar="N", help="timed runs (default: %(default)s)")
     parser.add_argument("--warmup", type=int, default=3, metavar="N", help="untimed runs before (default: %(default)s)")
@@ -140,8 +148,10 @@ def _candidates(options: argparse.Namespace) -> list[Candidate]:
             "max_disparity": max_disparity,
         }
         candidates += [
-            Candidate(_name(model), source, backend, precision, **place)
-            for (model, source), backend, precision in product(networks.items(), options.backend, options.precision)
+            Candidate(_name(model), source, backend, precision, iterations=iterations, **place)
+            for (model, source), backend, precision, iterations in product(
+                networks.items(), options.backend, options.precision, options.iterations
+            )
         ]
         candidates += [Candidate(name, source, RIVAL_BACKEND, "uint8", **place) for name, source in rivals.items()]
     return candidates

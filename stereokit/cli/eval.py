@@ -29,6 +29,9 @@ from stereokit.registry import list_models, suggest
 
 __all__ = ["add_arguments", "run"]
 
+NETWORK_OPTIONS = ("precision", "max_memory", "too_large", "scale", "iterations")
+"""Which have no meaning for a matcher of another kind."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `stereokit eval`."""
@@ -134,7 +137,7 @@ def run(options: argparse.Namespace) -> None:
 def _matcher(options: argparse.Namespace) -> Matcher:
     name = options.model or "coex"
     if name in SGBM_VARIANTS or ":" in name:
-        _refuse(name, options, "weights", "channel_order", "top_k", "precision", "max_memory", "too_large", "scale")
+        _refuse(name, options, "weights", "channel_order", "top_k", *NETWORK_OPTIONS)
         if options.device not in ("auto", "cpu"):
             raise ConfigError(f"--model {name} does not run on a device of torch; leave out --device {options.device}")
         if options.backend != "auto":

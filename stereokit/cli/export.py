@@ -5,7 +5,7 @@ import argparse
 from torch import nn
 
 from stereokit.cli.loading import load_chosen_network
-from stereokit.cli.options import add_published_options, network_help
+from stereokit.cli.options import add_iterations_option, add_published_options, network_help
 from stereokit.errors import ConfigError
 from stereokit.export.calibration import find_pairs
 from stereokit.export.onnx import OPSETS, export_onnx
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("weights", nargs="?", metavar="WEIGHTS", help=f"{network_help()} (default: those of --model)")
     parser.add_argument("--model", help="name of the network that the weights are of (default: coex)")
     add_published_options(parser)
+    add_iterations_option(parser)
     parser.add_argument("--to", required=True, choices=SUFFIXES, help="ONNX, OpenVINO, or a program of torch.export")
     parser.add_argument("--out", required=True, metavar="FILE", help=f"ends in {', '.join(SUFFIXES.values())}")
     parser.add_argument(

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any
 from stereokit.errors import ConfigError
 from stereokit.inference import Predictor
 from stereokit.weights.opening import (
+    ExportedFile,
     NetworkPlace,
     find_network,
     load_network,
     open_network,
+    set_iterations,
     trained_network,
 )
 from stereokit.weights.published import convert_published
@@ -43,7 +45,9 @@ def load_chosen_network(options: argparse.Namespace) -> "StereoNetwork":
     place = find_chosen_network(options)
     place.check_module()
     settings = _settings(options, place)
-    return _open_published(options, place, settings) if place.kind == "published" else load_network(place, **settings)
+    opened = _open_published(options, place, settings) if place.kind == "published" else load_network(place, **settings)
+    _set_iterations(opened, options)
+    return opened
 
 
 def load_predictor(options: argparse.Namespace, *, bit_depth: int | None = None) -> Predictor:
@@ -55,6 +59,7 @@ def load_predictor(options: argparse.Namespace, *, bit_depth: int | None = None)
     place = find_chosen_network(options)
     given = _settings(options, place)
     opened = _open_published(options, place, given) if place.kind == "published" else open_network(place, **given)
+    _set_iterations(opened, options)
     settings = {name: value for name in PREDICTOR_SETTINGS if (value := getattr(options, name, None)) is not None}
     return Predictor(opened, options.device, options.backend, bit_depth=bit_depth, **settings)
 
@@ -73,6 +78,12 @@ def _settings(options: argparse.Namespace, place: NetworkPlace) -> dict[str, Any
     place.check_published_options(channel_order=options.channel_order, top_k=options.top_k)
     overrides = {} if options.top_k is None else {"top_k": options.top_k}
     return {"network": options.model, "channel_order": options.channel_order, **overrides}
+
+
+def _set_iterations(opened: "StereoNetwork | ExportedFile", options: argparse.Namespace) -> None:
+    """Raises `ConfigError` for a network that has none, or whose file holds those that it was exported with."""
+    if (count := getattr(options, "iterations", None)) is not None:
+        set_iterations(opened, count)
 
 
 def _open_published(options: argparse.Namespace, place: NetworkPlace, settings: dict[str, Any]) -> "StereoNetwork":

@@ -8,7 +8,14 @@ from stereokit.inference.bounds import TooLarge
 from stereokit.runtime.precision import DTYPES
 from stereokit.weights.opening import BareName
 
-__all__ = ["DEVICE_HELP", "add_bit_depth_option", "add_predictor_options", "add_published_options", "network_help"]
+__all__ = [
+    "DEVICE_HELP",
+    "add_bit_depth_option",
+    "add_iterations_option",
+    "add_predictor_options",
+    "add_published_options",
+    "network_help",
+]
 
 DEVICE_HELP = "cpu, cuda, ... (default: a GPU if there is one)"
 
@@ -38,8 +45,19 @@ def add_published_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--top-k", type=int, metavar="K", help="candidates that its regression keeps (default: coex 2)")
 
 
+def add_iterations_option(parser: argparse.ArgumentParser) -> None:
+    """How long a recurrent network works on a pair."""
+    parser.add_argument(
+        "--iterations",
+        type=int,
+        metavar="N",
+        help="of networks that mend a disparity in rounds, such as raft_stereo and igev (default: the network's own)",
+    )
+
+
 def add_predictor_options(parser: argparse.ArgumentParser) -> None:
     """What runs the network, and how large pairs are matched, see `stereokit.Predictor`."""
+    add_iterations_option(parser)
     parser.add_argument("--device", default="auto", help=DEVICE_HELP)
     parser.add_argument(
         "--backend", default="auto", help=f"{', '.join(BACKENDS)} (default: torch, or that of an exported file)"

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from stereokit.config import NetworkConfig
 from stereokit.errors import ConfigError
 from stereokit.layers import ConvGRU, ConvNormAct, Norm, ResidualBlock, relu
 from stereokit.network import MIN_SIZE, Preprocessing, StereoNetwork
@@ -179,9 +180,7 @@ class RecurrentNetwork(StereoNetwork):
         least_size: int = MIN_SIZE,
         first_weights: Sequence[float] = (),
     ) -> None:
-        for name, count in (("iterations", iterations), ("test_iterations", test_iterations)):
-            if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-                raise ConfigError(f"{name}={count!r} has to be a whole number from 1 up")
+        _check_count("iterations", iterations)
         # from 0.9^15, however many there are, to 1
         decay = 0.9 ** (15 / max(iterations - 1, 1))
         super().__init__(
@@ -195,6 +194,25 @@ class RecurrentNetwork(StereoNetwork):
         self.test_iterations = test_iterations
 
     @property
+    def test_iterations(self) -> int:
+        """The iterations of eval mode, which can be set: more take longer, and mend more.
+
+        Raises:
+            ConfigError: fewer than one.
+        """
+        return self._test_iterations
+
+    @test_iterations.setter
+    def test_iterations(self, count: int) -> None:
+        _check_count("test_iterations", count)
+        self._test_iterations = count
+
+    @property
+    def config(self) -> NetworkConfig:
+        """What rebuilds the network, with the iterations that it has now."""
+        return {**super().config, "test_iterations": self.test_iterations}
+
+    @property
     def rounds(self) -> int:
         """The iterations of this mode."""
         return self.iterations if self.training else self.test_iterations
@@ -206,6 +224,11 @@ class RecurrentNetwork(StereoNetwork):
             if isinstance(module, nn.BatchNorm2d):
                 module.eval()
         return self
+
+
+def _check_count(name: str, count: object) -> None:
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise ConfigError(f"{name}={count!r} has to be a whole number from 1 up")
 
 
 BLOCK = KeyMap(

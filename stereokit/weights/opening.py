@@ -24,6 +24,7 @@ __all__ = [
     "find_network",
     "load_network",
     "open_network",
+    "set_iterations",
     "trained_network",
 ]
 
@@ -241,6 +242,27 @@ def load_network(
     found = find_network(place, bare_name=bare_name)
     found.check_module()
     return _load(found, network, channel_order, overrides)
+
+
+def set_iterations(opened: "StereoNetwork | ExportedFile", count: int) -> None:
+    """Sets how often a recurrent network mends its disparity in eval mode.
+
+    Raises:
+        ConfigError: it has no iterations, a file holds those that it was exported with, or fewer than one.
+
+    >>> model = open_network("rt_igev", bare_name="untrained", max_disparity=64)
+    >>> set_iterations(model, 2)
+    >>> model.config["test_iterations"]
+    2
+    """
+    if isinstance(opened, ExportedFile):
+        raise ConfigError(
+            f"{opened.path!r} holds the iterations that it was exported with; leave out --iterations, or export again"
+        )
+    network: Any = opened
+    if not hasattr(network, "test_iterations"):
+        raise ConfigError(f"{type(network).__name__} has no iterations; leave out --iterations")
+    network.test_iterations = count
 
 
 def _load(

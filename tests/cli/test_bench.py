@@ -30,6 +30,20 @@ def test_networks_sizes_and_rivals_in_one_table(capsys: pytest.CaptureFixture[st
     assert (tmp_path / "b.svg").stat().st_size > 1000
 
 
+def test_iterations_are_rows(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    size = ("--size", 32, 64, "--max-disparity", 64, "--repeats", 1, "--warmup", 1, "--device", "cpu")
+    networks = ("rt_igev", "coex")
+    file = tmp_path / "b.json"
+    code, said, _ = run(capsys, "bench", *networks, *size, "--iterations", 1, 2, "--json", file)
+    assert code == 0
+    rows = json.loads(file.read_text())["rows"]
+    assert [row["iterations"] for row in rows] == [1, 2, 1, 2]
+    assert [row["error"] for row in rows[:2]] == [None, None]
+    assert rows[0]["multiply_adds"] < rows[1]["multiply_adds"]
+    assert all("has no iterations" in row["error"] for row in rows[2:])
+    assert "iterations" in said
+
+
 def test_one_failing_candidate_is_a_row_and_all_are_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     # 33 is no D of CoEx; SGBM takes any
     odd = ("--size", 32, 64, "--max-disparity", 33, "--repeats", 1, "--warmup", 1)

@@ -18,6 +18,7 @@ from stereokit.weights.opening import (
     NetworkPlace,
     find_network,
     load_network,
+    set_iterations,
     trained_network,
 )
 from stereokit.weights.published import convert_published
@@ -68,6 +69,26 @@ def test_a_network_without_weights_is_an_error_unless_it_may_be_untrained(here, 
     assert same_weights(open_network("coex.synthetic_v7", bare_name="untrained"), open_network("coex"))
     with pytest.raises(ConfigError, match="bare_name='random' is unknown; use 'trained' or 'untrained'"):
         open_network("coex", bare_name="random")
+
+
+def test_the_iterations_of_a_recurrent_network_can_be_set(tmp_path):
+    model = open_network("rt_igev", bare_name="untrained", max_disparity=64)
+    set_iterations(model, 2)
+    assert model.test_iterations == model.config["test_iterations"] == 2
+    # and are kept where it is saved
+    model.save_pretrained(tmp_path / "saved")
+    assert open_network(tmp_path / "saved").test_iterations == 2
+    assert same_weights(open_network(tmp_path / "saved"), model)
+    with pytest.raises(ConfigError, match="test_iterations=0 has to be a whole number from 1 up"):
+        set_iterations(model, 0)
+    with pytest.raises(ConfigError, match="StereoModel has no iterations; leave out --iterations"):
+        set_iterations(build_model("coex"), 2)
+
+
+def test_the_iterations_of_an_exported_file_are_its_own(tmp_path):
+    (tmp_path / "net.onnx").write_bytes(b"")
+    with pytest.raises(ConfigError, match="holds the iterations that it was exported with"):
+        set_iterations(open_network(tmp_path / "net.onnx"), 2)
 
 
 def test_a_saved_network_opens_from_its_folder(saved, no_hub):
