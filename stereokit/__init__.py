@@ -14,6 +14,7 @@ from stereokit.aggregation import (
     SeparableHourglass,
     ShortcutHourglass,
     StackedHourglass,
+    WithOffsets,
 )
 from stereokit.backbones import (
     BottleneckPyramid,
@@ -55,6 +56,7 @@ from stereokit.models import (
     aanet_plus,
     casstereo_gwc,
     casstereo_psm,
+    cdn_psmnet,
     coex,
     ganet_11,
     ganet_deep,
@@ -89,7 +91,7 @@ from stereokit.registry import (
     list_components,
     list_models,
 )
-from stereokit.regression import LocalGuidedSoftArgmin, SoftArgmin, SubPixelMap, TopKSoftArgmin
+from stereokit.regression import LocalGuidedSoftArgmin, Mode, SoftArgmin, SubPixelMap, TopKSoftArgmin
 from stereokit.upsampling import ImageSuperpixelUpsampler, SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
 from stereokit.weights.opening import ExportedFile, open_network
@@ -143,6 +145,7 @@ __all__ = [
     "LevelPathBackbone",
     "LocalGuidedSoftArgmin",
     "MatchingNetwork",
+    "Mode",
     "MostProbable",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
@@ -169,12 +172,14 @@ __all__ = [
     "UNet",
     "UniformCandidates",
     "WarpedRefinement",
+    "WithOffsets",
     "__version__",
     "aanet",
     "aanet_plus",
     "build_model",
     "casstereo_gwc",
     "casstereo_psm",
+    "cdn_psmnet",
     "coex",
     "ganet_11",
     "ganet_deep",

@@ -30,8 +30,8 @@ PROTOCOLS: Mapping[str, type] = {
 }
 
 
-OPTIONAL = {"cost": ("warps",), "aggregation": ("scales",), "refinement": ("multiple",)}
-"""What a block need not say: it then does not warp, has one scale, and takes any size."""
+OPTIONAL = {"cost": ("warps",), "aggregation": ("scales", "volume_heads"), "refinement": ("multiple",)}
+"""What a block need not say: it then does not warp, has one scale, heads of no volume, and takes any size."""
 
 
 class Rule(NamedTuple):

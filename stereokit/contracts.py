@@ -14,13 +14,14 @@ fits. Strides are in pixels of the padded input: a map of stride 4 has a quarter
 are in pixels of the full-size image, unless said otherwise.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
 
+import torch
 from torch import Tensor, nn
 
-from stereokit.layers import bilinear_upsample
+from stereokit.layers import bilinear_upsample, bin_shift
 
 __all__ = [
     "Aggregation",
@@ -33,6 +34,7 @@ __all__ = [
     "GuidanceFactory",
     "GuidancePlacement",
     "Guides",
+    "Head",
     "PairedBackbone",
     "Prediction",
     "Refinement",
@@ -98,8 +100,19 @@ class Candidates(NamedTuple):
     """(B, D, h, w): their probability in the stage before, by which the volume is multiplied."""
 
 
+class Head(NamedTuple):
+    """What one head of an aggregation says about the planes; a bare tensor stands for its logits."""
+
+    logits: Tensor
+    """(B, D, h, w), larger is better."""
+    offsets: Tensor | None = None
+    """(B, D, h, w), any numbers: see `Distribution`."""
+    certainty: Tensor | None = None
+    """(B, h, w), any numbers: their sigmoid is how sure the network is, where it says so itself."""
+
+
 class Distribution(NamedTuple):
-    """What one head of an aggregation says about the candidates; a bare tensor stands for its logits."""
+    """What one head of an aggregation says about the candidates."""
 
     logits: Tensor
     """(B, D, h, w), larger is better."""
@@ -112,7 +125,28 @@ class Distribution(NamedTuple):
     values: Tensor | None = None
     """px of each plane, (D,) or (B, D, h, w), where they are not uniform."""
     offsets: Tensor | None = None
-    """px, (B, D, h, w), added to the candidates."""
+    """(B, D, h, w), any numbers: `bin_shift` of them is how far a plane lies on the way to the next one."""
+    certainty: Tensor | None = None
+    """(B, h, w), as in `Head`."""
+
+    def disparities(self) -> Tensor:
+        """Px of each plane with its offset, broadcastable to the logits.
+
+        >>> Distribution(torch.zeros(1, 3, 1, 1), stride=4, spacing=2.0, first=1.0).disparities().flatten()
+        tensor([1., 3., 5.])
+        """
+        if self.values is None:
+            levels = torch.arange(self.logits.shape[1], device=self.logits.device)
+            planes = (self.first + self.spacing * levels).reshape(1, -1, 1, 1)
+        else:
+            planes = self.values.reshape(1, -1, 1, 1) if self.values.dim() == 1 else self.values
+        if self.offsets is None:
+            return planes
+        apart: Tensor | float = self.spacing
+        if self.values is not None:
+            apart = planes.diff(dim=1)
+            apart = torch.cat((apart, apart[:, -1:]), dim=1)
+        return planes + apart * bin_shift(self.offsets)
 
 
 class Prediction(NamedTuple):
@@ -122,11 +156,15 @@ class Prediction(NamedTuple):
     """(B, h, w), in px. At a stride above 1 it covers the padded input."""
     stride: int = 1
     distribution: Distribution | None = None
-    """What it comes from, where there is such a thing."""
-    spread: Tensor | None = None
-    """(B, h, w), in px: how far the truth may lie away."""
+    """What a head said, where there is such a thing."""
     quantile: float | None = None
     """That it stands for, where it is not the expected value."""
+    finer: Callable[[], Distribution] | None = None
+    """Makes the distribution at the resolution at which it was regressed, where that is another one."""
+
+    def regressed(self) -> Distribution | None:
+        """The distribution that the disparity was regressed from; it is made anew, so that nobody need keep it."""
+        return self.distribution if self.finer is None else self.finer()
 
 
 class StereoOutput(NamedTuple):
@@ -255,8 +293,11 @@ class Aggregation(Protocol):
     """How many volumes it takes, each half the size of the one before in all three dimensions; 1 may be left out."""
     loss_weights: tuple[float, ...]
     """Weight in the loss of each head, in their order."""
+    volume_heads: tuple[str, ...]
+    """Submodules that turn volumes into logits (B, 1, D, h, w), by name: "with_offsets" gives them a second channel.
+    May be left out where there are none."""
 
-    def __call__(self, volume: Any, guides: Guides) -> tuple[Tensor | Distribution, ...]:
+    def __call__(self, volume: Any, guides: Guides) -> tuple[Tensor | Head, ...]:
         """(B, in_channels, D, h, w) to one (B, D * upscale, h * upscale, w * upscale) per head, the best one last.
 
         With several scales it takes the volumes from fine to coarse; heads of coarser scales have as many fewer planes.

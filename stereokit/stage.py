@@ -1,6 +1,7 @@
 """One stage of a network: candidates to predictions, once."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 from torch import Tensor, nn
@@ -12,6 +13,7 @@ from stereokit.contracts import (
     Distribution,
     Features,
     Guides,
+    Head,
     Prediction,
     Refinement,
     Regression,
@@ -32,6 +34,7 @@ __all__ = [
     "resample",
     "run_stage",
     "scales_of",
+    "seen_by_regression",
     "stage_loss_weights",
 ]
 
@@ -143,7 +146,10 @@ def run_stage(
         coarse, _ = _regress(head, blocks, guides, candidates, best=number == len(heads))
         if upsampler.learned and upsampler.domain == "disparity" and number == len(heads):
             predictions.append(Prediction(coarse, head.stride, head))
-        predictions.append(_upsampled(coarse, head, blocks, guides))
+        finer = None
+        if upsampler.domain == "volume" or candidates is not None:
+            finer = partial(seen_by_regression, head, upsampler, guides, candidates)
+        predictions.append(_upsampled(coarse, head, blocks, guides)._replace(finer=finer))
     return StageOutput(tuple(predictions), None)
 
 
@@ -205,20 +211,58 @@ def _interpolate(values: Tensor, size: tuple[int, ...]) -> Tensor:
     return F.interpolate(values.unsqueeze(1), size, mode="trilinear", align_corners=False).squeeze(1)
 
 
-def _distribution(head: Tensor | Distribution, blocks: StageBlocks, stride: int, planes: Tensor | None) -> Distribution:
+def _distribution(head: Tensor | Head, blocks: StageBlocks, stride: int, planes: Tensor | None) -> Distribution:
     """What a head gave, with all that is known of its planes; `planes` are the px of those of the volume."""
-    logits = head.logits if isinstance(head, Distribution) else head
+    logits, offsets, certainty = head if isinstance(head, Head) else Head(head)
     values = None if planes is None else resample(planes, tuple(logits.shape[1:]), batch=len(logits))
-    if isinstance(head, Distribution):
-        return head if values is None else head._replace(values=values)
     upscale, ours = blocks.aggregation.upscale, planes_upscale(blocks.aggregation)
     # how much coarser a head of another scale is
-    coarser = 1 if scales_of(blocks.aggregation) == 1 else blocks.cost.planes * ours // head.shape[1]
+    coarser = 1 if scales_of(blocks.aggregation) == 1 else blocks.cost.planes * ours // logits.shape[1]
     spacing = blocks.candidates.spacing * coarser / ours
     # a plane that is going to be divided is the middle of the fine ones, the first of which is 0
     fine = spacing / (planes_scale(blocks.upsampler) if blocks.upsampler.domain == "volume" else 1)
-    parts = levels_of(blocks.upsampler, head.shape[1]) / head.shape[1]
-    return Distribution(head, stride * coarser // upscale, fine * parts, (parts - 1) / 2 * fine, values=values)
+    parts = levels_of(blocks.upsampler, logits.shape[1]) / logits.shape[1]
+    return Distribution(
+        logits,
+        stride * coarser // upscale,
+        fine * parts,
+        (parts - 1) / 2 * fine,
+        values=values,
+        offsets=offsets,
+        certainty=certainty,
+    )
+
+
+def seen_by_regression(
+    head: Distribution, upsampler: Upsampler, guides: Guides, candidates: Tensor | None
+) -> Distribution:
+    """What the regression sees of a head: its logits are upsampled, if the upsampler is one for logits.
+
+    Args:
+        head: of the aggregation.
+        upsampler: of the stage.
+        guides: for the upsampler.
+        candidates: of the stage, of which a plane of the volume may hold several; None where they are uniform.
+
+    >>> import torch
+    >>> from stereokit.upsampling import TrilinearUpsampler
+    >>> coarse = Distribution(torch.zeros(1, 6, 2, 3), stride=4, spacing=4.0)
+    >>> fine = seen_by_regression(coarse, TrilinearUpsampler(scale=4, planes_scale=2), {}, None)
+    >>> fine.logits.shape, fine.stride, fine.spacing
+    (torch.Size([1, 12, 8, 12]), 1, 2.0)
+    """
+    if upsampler.domain == "volume":
+        planes = head.logits.shape[1]
+        logits = upsampler(head.logits, guides)
+        offsets = None if head.offsets is None else upsampler(head.offsets, guides)
+        certainty = None if head.certainty is None else bilinear_upsample(head.certainty, upsampler.scale)
+        spacing = head.spacing * planes / logits.shape[1]
+        stride = head.stride // upsampler.scale
+        head = Distribution(logits, stride, spacing, 0.0, head.values, offsets, certainty)
+    values = head.values if candidates is None else candidates
+    if values is not None:
+        head = head._replace(values=resample(values, tuple(head.logits.shape[1:]), batch=len(head.logits)))
+    return head
 
 
 def planes_upscale(aggregation: Aggregation) -> int:
@@ -248,25 +292,20 @@ def _regress(
     best: bool,
     with_confidence: bool = False,
 ) -> tuple[Tensor, Tensor | None]:
-    """The disparity of a head in px, at the resolution of its logits or, if these are upsampled, of those.
-
-    The expectation is over the candidates of the stage, of which a plane of the volume may hold several.
-    """
-    logits, spacing = head.logits, head.spacing
-    if blocks.upsampler.domain == "volume":
-        planes = logits.shape[1]
-        logits = blocks.upsampler(logits, guides)
-        spacing = spacing * planes / logits.shape[1]
-    values = head.values if candidates is None else candidates
-    if values is not None:
-        values = resample(values, tuple(logits.shape[1:]), batch=len(logits))
+    """The disparity of a head in px, at the resolution of its logits or, if these are upsampled, of those."""
+    seen = seen_by_regression(head, blocks.upsampler, guides, candidates)
+    # the fast case: whole numbers of planes
+    uniform = seen.values is None and seen.offsets is None
+    values = None if uniform else seen.disparities()
     # the heads for training alone are regressed without guides
     given = {"guides": guides} if best and regression_guides(blocks.regression) else {}
-    if with_confidence:
-        disparity, confidence = blocks.regression.with_confidence(logits, values, **given)
+    if not with_confidence:
+        disparity, confidence = blocks.regression(seen.logits, values, **given), None
+    elif seen.certainty is None:
+        disparity, confidence = blocks.regression.with_confidence(seen.logits, values, **given)
     else:
-        disparity, confidence = blocks.regression(logits, values, **given), None
-    return (disparity * spacing if values is None else disparity), confidence
+        disparity, confidence = blocks.regression(seen.logits, values, **given), seen.certainty.sigmoid()
+    return (disparity * seen.spacing if uniform else disparity), confidence
 
 
 def _upsampled(disparity: Tensor, head: Distribution, blocks: StageBlocks, guides: Guides) -> Prediction:

@@ -13,6 +13,7 @@ from stereokit.aggregation.repeated_hourglass import RepeatedHourglass
 from stereokit.aggregation.separable_hourglass import SeparableHourglass
 from stereokit.aggregation.shortcut_hourglass import ShortcutHourglass
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
+from stereokit.aggregation.with_offsets import WithOffsets
 
 __all__ = [
     "AdaptiveAggregation",
@@ -29,5 +30,6 @@ __all__ = [
     "SeparableHourglass",
     "ShortcutHourglass",
     "StackedHourglass",
+    "WithOffsets",
     "propagate_attention",
 ]

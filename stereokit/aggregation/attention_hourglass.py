@@ -43,6 +43,7 @@ class AttentionHourglass(nn.Module):
     multiple = planes_multiple = 4
     upscale = 2
     loss_weights = (1.0,)
+    volume_heads = ("head",)
 
     def __init__(
         self,

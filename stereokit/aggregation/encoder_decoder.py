@@ -76,6 +76,7 @@ class EncoderDecoder(nn.Module):
     multiple = planes_multiple = 16
     upscale = 2
     loss_weights = (1.0,)
+    volume_heads = ("head",)
 
     def __init__(
         self,

@@ -152,6 +152,7 @@ class Hourglass(VolumeHourglass):
 
     upscale = 1
     loss_weights = (1.0,)
+    volume_heads = ("up1",)
 
     def __init__(
         self,

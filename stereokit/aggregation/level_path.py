@@ -54,6 +54,7 @@ class LevelPathAggregation(nn.Module):
     planes_multiple = 1
     upscale = 1
     loss_weights = (1.0,)
+    volume_heads = ("head",)
 
     def __init__(
         self,

@@ -41,6 +41,7 @@ class PlainAggregation(nn.Module):
     multiple = planes_multiple = 1
     upscale = 1
     loss_weights = (1.0,)
+    volume_heads = ("head",)
 
     def __init__(
         self,

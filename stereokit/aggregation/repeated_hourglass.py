@@ -93,6 +93,7 @@ class RepeatedHourglass(nn.Module):
     multiple = 4
     planes_multiple = 1
     upscale = 1
+    volume_heads = ("heads",)
 
     def __init__(
         self,

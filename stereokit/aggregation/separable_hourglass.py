@@ -117,6 +117,7 @@ class SeparableHourglass(nn.Module):
         )
         head = planes_head if dims == 2 else logits_head
         self.head0, self.head1, self.head2, self.head3 = (head(c) for _ in range(4))
+        self.volume_heads = ("head0", "head1", "head2", "head3") if dims == 3 else ()
         self.guide_channels = GuidancePlan.guides_read_by(self)
 
     def forward(self, volume: Tensor, guides: Guides) -> tuple[Tensor, ...]:

@@ -80,6 +80,7 @@ class ShortcutHourglass(nn.Module):
     upscale = 4
     planes_upscale = 2
     loss_weights = (1.0,)
+    volume_heads = ("to_full_size",)
 
     def __init__(
         self,

@@ -72,6 +72,7 @@ class StackedHourglass(nn.Module):
     multiple = planes_multiple = 4
     upscale = 1
     loss_weights = (0.5, 0.7, 1.0)
+    volume_heads = ("head1", "head2", "head3")
 
     def __init__(
         self,

@@ -9,10 +9,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from stereokit.contracts import Distribution
+from stereokit.contracts import Distribution, Upsampler
 from stereokit.errors import ConfigError, InputError
 from stereokit.regression import SoftArgmin
-from stereokit.stage import resample
+from stereokit.stage import seen_by_regression
 
 __all__ = ["Distributions", "PixelDistributions", "find_distributions"]
 
@@ -53,7 +53,7 @@ class Distributions:
 
     head: Distribution
     regression: nn.Module
-    upsampler: nn.Module | None
+    upsampler: Upsampler | None
     size: tuple[int, int]
     matched: tuple[int, int]
     top: int = 0
@@ -72,23 +72,18 @@ class Distributions:
         for places, side, name in zip(pixels, self.size, ("row", "column"), strict=True):
             if not places.size or places.dtype.kind not in "iu" or not ((places >= 0) & (places < side)).all():
                 raise InputError(f"expected each {name} as a whole number from 0 to {side - 1}, got {places.tolist()}")
-        logits, stride, spacing = self.head.logits, self.head.stride, self.head.spacing
-        if self.upsampler is not None:
-            planes = logits.shape[1]
-            logits, stride = self.upsampler(logits, {}), stride // int(self.upsampler.scale)  # type: ignore[arg-type]
-            spacing *= planes / logits.shape[1]
+        seen = self.head if self.upsampler is None else seen_by_regression(self.head, self.upsampler, {}, None)
         factors = [matched / side for matched, side in zip(self.matched, self.size, strict=True)]
         row, column = (
             torch.from_numpy(np.floor((places + 0.5) * factor).astype(np.int64))
             for places, factor in zip(pixels, factors, strict=True)
         )
-        cells = (row + self.top) // stride, column // stride
-        chosen = logits[0][:, cells[0], cells[1]].float()[None, :, None]
-        values = None
-        if self.head.values is not None:
-            values = resample(self.head.values, tuple(logits.shape[1:]), batch=1)[0][:, cells[0], cells[1]][
-                None, :, None
-            ].float()
+        cells = (row + self.top) // seen.stride, column // seen.stride
+        chosen = seen.logits[0][:, cells[0], cells[1]].float()[None, :, None]
+        values, spacing = None, seen.spacing
+        if seen.values is not None or seen.offsets is not None:
+            planes = seen.disparities().expand(seen.logits.shape)
+            values = planes[0][:, cells[0], cells[1]][None, :, None].float()
             spacing = 1.0
         levels = chosen.shape[1]
         with torch.inference_mode():
@@ -152,7 +147,7 @@ def find_distributions(
     above = preprocessing is not None and preprocessing.corner == "top_right"
     return Distributions(
         head._replace(
-            logits=head.logits.cpu(), values=None if head.values is None else head.values.cpu(), offsets=None
+            logits=head.logits.cpu(), values=_on_cpu(head.values), offsets=_on_cpu(head.offsets), certainty=None
         ),
         getattr(network, "regression", None) or SoftArgmin(),
         upsampler,
@@ -160,3 +155,7 @@ def find_distributions(
         (height, width),
         -height % multiple if above else 0,
     )
+
+
+def _on_cpu(values: Tensor | None) -> Tensor | None:
+    return None if values is None else values.cpu()

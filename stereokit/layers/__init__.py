@@ -1,6 +1,7 @@
 """Layers that blocks share."""
 
 from stereokit.layers.act_norm import ActNormResidual, conv_act_norm
+from stereokit.layers.bin_shift import bin_shift
 from stereokit.layers.bottleneck import Bottleneck
 from stereokit.layers.casting import as_float, at_least_float32
 from stereokit.layers.conv_gru import ConvGRU
@@ -46,6 +47,7 @@ __all__ = [
     "as_float",
     "at_least_float32",
     "bilinear_upsample",
+    "bin_shift",
     "cell_means",
     "conv_act_norm",
     "crop_to",

@@ -8,6 +8,7 @@ from stereokit.losses.robust import Robust
 from stereokit.losses.sequence import Sequence
 from stereokit.losses.smooth_l1 import SmoothL1, masked_smooth_l1
 from stereokit.losses.total import Loss, named_loss, stereo_loss
+from stereokit.losses.wasserstein import Wasserstein, masked_wasserstein, neighborhood_truth, wasserstein_distance
 
 __all__ = [
     "L1",
@@ -18,12 +19,16 @@ __all__ = [
     "Robust",
     "Sequence",
     "SmoothL1",
+    "Wasserstein",
     "laplace_cross_entropy",
     "masked_cross_entropy",
     "masked_pinball",
     "masked_smooth_l1",
+    "masked_wasserstein",
     "mean_of_cells",
     "named_loss",
+    "neighborhood_truth",
     "stereo_loss",
     "truth_of_cells",
+    "wasserstein_distance",
 ]

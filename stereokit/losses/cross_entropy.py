@@ -90,6 +90,14 @@ def distribution_of(prediction: Prediction, loss: str) -> Distribution:
     return prediction.distribution
 
 
+def regressed_from(prediction: Prediction, loss: str) -> Distribution:
+    """What a prediction was regressed from, at that resolution; raises `ConfigError` where there is no such thing."""
+    distribution_of(prediction, loss)
+    regressed = prediction.regressed()
+    assert regressed is not None
+    return regressed
+
+
 def _split(distribution: Distribution, cells: Tensor, known: Tensor, last: int) -> tuple[Tensor, Tensor]:
     """The level at or below the truth, and the share of the one above it, (B, 1, h, w) each."""
     if distribution.values is None:

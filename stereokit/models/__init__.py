@@ -2,6 +2,7 @@
 
 from stereokit.models.aanet import aanet, aanet_plus
 from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
+from stereokit.models.cdn import cdn_psmnet
 from stereokit.models.coex import coex
 from stereokit.models.crl import CRL
 from stereokit.models.deeppruner import DeepPrunerBest, DeepPrunerFast
@@ -37,6 +38,7 @@ __all__ = [
     "aanet_plus",
     "casstereo_gwc",
     "casstereo_psm",
+    "cdn_psmnet",
     "coex",
     "ganet_11",
     "ganet_deep",

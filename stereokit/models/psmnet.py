@@ -12,7 +12,7 @@ from stereokit.builder import recipe
 from stereokit.models.coex import EXCITED
 from stereokit.weights.key_map import KeyMap, layer, publish
 
-__all__ = ["BRANCHES", "TRUNK", "psmnet"]
+__all__ = ["BRANCHES", "FEATURES", "HEAD", "HOURGLASSES", "TRUNK", "psmnet"]
 
 psmnet = recipe(
     "psmnet",
@@ -48,6 +48,31 @@ TRUNK = KeyMap(
 BRANCHES = KeyMap((f"branch{4 - i}.1.", f"branches.{i}.conv.") for i in range(4))
 """The pyramid behind them."""
 
+FEATURES = KeyMap(
+    [
+        *TRUNK,
+        *BRANCHES,
+        ("lastconv.0.", "fuse.0."),
+        ("lastconv.2.", "fuse.1."),
+    ]
+)
+"""All of its backbone."""
+
+HOURGLASSES = KeyMap(
+    [
+        ("dres{n}.0.", "pair{n}.0."),
+        ("dres{n}.2.", "pair{n}.1."),
+        ("dres{n}.conv1.0.", "hourglass{n-1}.conv1."),
+        ("dres{n}.conv3.0.", "hourglass{n-1}.conv3."),
+        ("dres{n}.conv4.0.", "hourglass{n-1}.conv4."),
+        ("dres{n}.conv{m}.", "hourglass{n-1}.conv{m}."),
+    ]
+)
+"""Its aggregation, but for the heads."""
+
+HEAD = KeyMap([("0.", "0."), ("2.", "1.")])
+"""One of the heads."""
+
 publish(
     "psmnet",
     source="the checkpoints of CoEx's ablation",
@@ -56,21 +81,12 @@ publish(
     variant=_variant,
     first_layers=("backbone.stem.0.0.weight",),
     keys=[
-        *TRUNK.under("feature_extraction.", "backbone."),
-        *BRANCHES.under("feature_extraction.", "backbone."),
-        ("feature_extraction.lastconv.0.", "backbone.fuse.0."),
-        ("feature_extraction.lastconv.2.", "backbone.fuse.1."),
+        *FEATURES.under("feature_extraction.", "backbone."),
         *layer("cost_volume.conv.", "cost.projection.layers.0."),
         ("cost_volume.desc.", "cost.projection.layers.1."),
         *layer("conv_stem.", "aggregation.stem."),
         *EXCITED.under("channelAtt.", "aggregation.guidance."),
-        ("dres{n}.0.", "aggregation.pair{n}.0."),
-        ("dres{n}.2.", "aggregation.pair{n}.1."),
-        ("dres{n}.conv1.0.", "aggregation.hourglass{n-1}.conv1."),
-        ("dres{n}.conv3.0.", "aggregation.hourglass{n-1}.conv3."),
-        ("dres{n}.conv4.0.", "aggregation.hourglass{n-1}.conv4."),
-        ("dres{n}.conv{m}.", "aggregation.hourglass{n-1}.conv{m}."),
-        ("classif{n}.0.", "aggregation.head{n}.0."),
-        ("classif{n}.2.", "aggregation.head{n}.1."),
+        *HOURGLASSES.under("", "aggregation."),
+        *HEAD.under("classif{n}.", "aggregation.head{n}."),
     ],
 )

@@ -1,15 +1,18 @@
 """Logits to disparity."""
 
 from stereokit.regression.local_guided import LocalGuidedSoftArgmin, local_guided_aggregate
+from stereokit.regression.mode import Mode, mode
 from stereokit.regression.soft_argmin import SoftArgmin, TopKSoftArgmin, soft_argmin, top_k_mass, top_k_soft_argmin
 from stereokit.regression.sub_pixel_map import SubPixelMap, sub_pixel_map
 
 __all__ = [
     "LocalGuidedSoftArgmin",
+    "Mode",
     "SoftArgmin",
     "SubPixelMap",
     "TopKSoftArgmin",
     "local_guided_aggregate",
+    "mode",
     "soft_argmin",
     "sub_pixel_map",
     "top_k_mass",

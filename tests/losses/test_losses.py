@@ -53,14 +53,16 @@ def test_gradients_reach_the_known_pixels_alone(disparity, truth):
 def test_what_is_estimated_where_the_truth_is_unknown_has_no_gradient(name, estimate, unknown):
     truth = torch.tensor([[[20.0, unknown, 7.0]]])
     disparity = torch.tensor([[[18.0, estimate, 8.0]]], requires_grad=True)
-    logits = torch.zeros(1, 4, 1, 3)
-    logits[0, :, 0, 1] = estimate
-    logits.requires_grad_()
-    prediction = Prediction(disparity, 1, Distribution(logits, stride=1, spacing=8), disparity + 3, 0.25)
+    logits, offsets, certainty = torch.zeros(1, 4, 1, 3), torch.full((1, 4, 1, 3), 0.1), torch.zeros(1, 1, 3)
+    for part in (logits, offsets, certainty):
+        part[..., 1] = estimate
+        part.requires_grad_()
+    head = Distribution(logits, stride=1, spacing=8, offsets=offsets, certainty=certainty)
+    prediction = Prediction(disparity, 1, head, 0.25)
     loss = named_loss(name)(prediction, truth, max_disparity=192)
     loss.backward()
     assert loss.isfinite()
-    gradients = [x.grad for x in (disparity, logits) if x.grad is not None]
+    gradients = [x.grad for x in (disparity, logits, offsets, certainty) if x.grad is not None]
     for gradient in gradients:
         assert gradient.isfinite().all()
         assert (gradient[..., 1] == 0).all()

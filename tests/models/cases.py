@@ -20,7 +20,7 @@ class Tap:
     Args:
         module: whose output it is.
         steps: of the last axes that were kept, such as "6/4/4".
-        item: of an output that is a tuple, or the key of one that is a mapping.
+        item: of an output that is a tuple, or the key of one that is a mapping; several where they are nested.
         field: of a named tuple.
         left: the left half of a batch of both views.
         sign: -1 where lower is better there, or another factor.
@@ -28,7 +28,7 @@ class Tap:
 
     module: str
     steps: str = ""
-    item: int | None = None
+    item: int | tuple[int, ...] | None = None
     field: str | None = None
     left: bool = False
     sign: float = 1
@@ -37,8 +37,8 @@ class Tap:
         """The recorded part of a module's output."""
         if self.field is not None:
             output = getattr(output, self.field)
-        if self.item is not None:
-            output = output[self.item]
+        for item in (self.item,) if isinstance(self.item, int) else self.item or ():
+            output = output[item]
         if self.left:
             output = output.chunk(2)[0]
         steps = [int(step) for step in self.steps.split("/") if step]
@@ -198,6 +198,21 @@ CASES: dict[str, Case] = {
     ),
     "casstereo_gwc": Case(
         parameters=10_943_776, training_only=2 * 85_728, golden=_casstereo("casstereo_gwc", 0.45, "2/2"), rounding=0.5
+    ),
+    "cdn_psmnet": Case(
+        parameters=5_310_496,
+        golden=Golden(
+            "cdn_psmnet",
+            norm=(0.4, 0.6),
+            # logits and offsets of the last head
+            taps={
+                "cost3": Tap("aggregation", "2/4/4", item=(-1, 0)),
+                "off3": Tap("aggregation", "2/4/4", item=(-1, 1)),
+            },
+            # where two bins tie, rounding decides
+            pixels=0.999,
+        ),
+        loss="wasserstein",
     ),
     "leastereo": Case(
         parameters=1_724_912,

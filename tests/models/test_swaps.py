@@ -1,4 +1,4 @@
-"""Blocks in networks that did not bring them: (network, what is chosen otherwise)."""
+"""Blocks in networks that did not bring them: (network, what is chosen otherwise, the loss among it)."""
 
 import json
 
@@ -6,7 +6,9 @@ import pytest
 import torch
 
 from stereokit import build_model
-from stereokit.losses import stereo_loss
+from stereokit.losses import named_loss, stereo_loss
+
+CDN = {"name": "with_offsets", "base": "hourglass"}
 
 REFINED = [{"name": "edge_aware", "channels": 8, "dilations": [1, 2]}]
 
@@ -120,6 +122,12 @@ SWAPS = [
     ("psmnet", {"backbone": {"name": "deformable_hourglass", "scales": 1, "deformable": False}, "max_disparity": 48}),
     ("aanet", {"guidance": "gce", "top_k": 2, "max_disparity": 48}),
     ("aanet_plus", {"cost": {"name": "concatenation", "projection": [8]}, "max_disparity": 48}),
+    ("coex", {"aggregation": CDN, "regression": "mode", "loss": "wasserstein"}),
+    ("coex", {"aggregation": CDN, "loss": {"name": "wasserstein", "power": 2}}),
+    ("gwcnet_g", {"aggregation": CDN | {"base": "gwc_hourglass"}, "regression": "mode", "loss": "wasserstein"}),
+    ("casstereo_gwc", {"aggregation": CDN | {"base": "gwc_hourglass"}, "loss": "wasserstein"}),
+    ("coex", {"loss": "wasserstein"}),
+    ("psmnet", {"loss": {"name": "wasserstein", "neighbors": 0.2}}),
 ]
 
 
@@ -132,10 +140,13 @@ QUICK = ("coex", "lightstereo_s", "stereonet_8x")
     [pytest.param(*swap, marks=() if swap[0] in QUICK else pytest.mark.slow) for swap in SWAPS],
 )
 def test_a_block_works_in_another_network(network, overrides):
-    model = build_model(network, **{"max_disparity": 64, **overrides})
+    choices = {"max_disparity": 64, "loss": "smooth_l1", **overrides}
+    measure = named_loss(choices.pop("loss"))
+    model = build_model(network, **choices)
     left, right = torch.rand(2, 2, 3, 64, 96)
     output = model(left, right)
-    loss = stereo_loss(output, torch.full_like(left[:, 0], 5.0), auxiliary_weights=model.auxiliary_weights)
+    truth = torch.full_like(left[:, 0], 5.0)
+    loss = stereo_loss(output, truth, auxiliary_weights=model.auxiliary_weights, loss=measure)
     loss.backward()
     assert loss.isfinite()
     assert [name for name, p in model.named_parameters() if p.grad is None] == []
