@@ -4,6 +4,7 @@ from stereokit._version import __version__
 from stereokit.aggregation import (
     AdaptiveAggregation,
     AttentionHourglass,
+    DilatedContext,
     EncoderDecoder,
     GwcHourglass,
     Hourglass,
@@ -18,6 +19,7 @@ from stereokit.aggregation import (
 )
 from stereokit.backbones import (
     BottleneckPyramid,
+    DeepAggregation,
     DeformableHourglass,
     DoubleHourglass,
     Embedding,
@@ -49,6 +51,8 @@ from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
 from stereokit.models import (
+    HD3S,
+    HD3SC,
     DispNetC,
     FastACVNet,
     FastACVNetPlus,
@@ -91,7 +95,7 @@ from stereokit.registry import (
     list_components,
     list_models,
 )
-from stereokit.regression import LocalGuidedSoftArgmin, Mode, SoftArgmin, SubPixelMap, TopKSoftArgmin
+from stereokit.regression import LocalGuidedSoftArgmin, Mode, MostProbablePair, SoftArgmin, SubPixelMap, TopKSoftArgmin
 from stereokit.upsampling import ImageSuperpixelUpsampler, SuperpixelUpsampler
 from stereokit.weights import list_weights, load_weights
 from stereokit.weights.opening import ExportedFile, open_network
@@ -104,6 +108,8 @@ __all__ = [
     "COSTS",
     "GCE",
     "GUIDANCE",
+    "HD3S",
+    "HD3SC",
     "LOSSES",
     "MODELS",
     "MSCA",
@@ -120,8 +126,10 @@ __all__ = [
     "ConcatenationVolume",
     "ConfigError",
     "CorrelationVolume",
+    "DeepAggregation",
     "DeformableHourglass",
     "DifferenceVolume",
+    "DilatedContext",
     "DispNetC",
     "DisparityRange",
     "DisparityResult",
@@ -147,6 +155,7 @@ __all__ = [
     "MatchingNetwork",
     "Mode",
     "MostProbable",
+    "MostProbablePair",
     "NeighborhoodAggregation",
     "NeighborhoodRange",
     "PlainAggregation",

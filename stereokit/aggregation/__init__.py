@@ -3,6 +3,7 @@
 from stereokit.aggregation.adaptive import AdaptiveAggregation, CrossScale
 from stereokit.aggregation.attention_hourglass import AttentionHourglass
 from stereokit.aggregation.attention_propagation import AttentionPropagation, propagate_attention
+from stereokit.aggregation.dilated_context import DilatedContext
 from stereokit.aggregation.encoder_decoder import EncoderDecoder
 from stereokit.aggregation.gwc_hourglass import GwcHourglass
 from stereokit.aggregation.hourglass import Hourglass
@@ -20,6 +21,7 @@ __all__ = [
     "AttentionHourglass",
     "AttentionPropagation",
     "CrossScale",
+    "DilatedContext",
     "EncoderDecoder",
     "GwcHourglass",
     "Hourglass",

@@ -1,6 +1,7 @@
 """Images to matching features and guides."""
 
 from stereokit.backbones.bottleneck_pyramid import BottleneckPyramid
+from stereokit.backbones.deep_aggregation import DeepAggregation
 from stereokit.backbones.deformable_hourglass import DeformableHourglass
 from stereokit.backbones.double_hourglass import DoubleHourglass
 from stereokit.backbones.embedding import Embedding
@@ -17,6 +18,7 @@ from stereokit.backbones.unet import UNet
 
 __all__ = [
     "BottleneckPyramid",
+    "DeepAggregation",
     "DeformableHourglass",
     "DoubleHourglass",
     "Embedding",

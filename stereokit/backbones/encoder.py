@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from stereokit.errors import ConfigError
 from stereokit.registry import suggest
 
-__all__ = ["MobileNetV2Encoder", "TimmEncoder", "build_encoder"]
+__all__ = ["MobileNetV2Encoder", "TimmEncoder", "build_encoder", "create_timm_model"]
 
 STRIDES = (4, 8, 16, 32)
 
@@ -31,7 +31,7 @@ class TimmEncoder(nn.Module):
 
     def __init__(self, name: str, *, pretrained: bool = False) -> None:
         super().__init__()
-        model = _create(name, pretrained=pretrained, features_only=True)
+        model = create_timm_model(name, pretrained=pretrained, features_only=True)
         index = {reduction: i for i, reduction in enumerate(model.feature_info.reduction())}
         missing = [str(s) for s in STRIDES if s not in index]
         if missing:
@@ -69,7 +69,7 @@ class MobileNetV2Encoder(nn.Module):
 
     def __init__(self, name: str = "mobilenetv2_100", *, pretrained: bool = False) -> None:
         super().__init__()
-        model = _create(name, pretrained=pretrained)
+        model = create_timm_model(name, pretrained=pretrained)
         self.conv_stem = model.conv_stem
         self.bn1 = model.bn1
         stride2, stride4, stride8, stride16a, stride16b, stride32 = list(model.blocks)[:6]
@@ -115,7 +115,12 @@ def near_timm_models(name: str) -> list[str]:
     return difflib.get_close_matches(name, timm.list_models(), n=3, cutoff=0.7)
 
 
-def _create(name: str, **arguments: Any) -> Any:
+def create_timm_model(name: str, **arguments: Any) -> Any:
+    """A model of timm.
+
+    Raises:
+        ConfigError: timm does not know the name, or can't build it so.
+    """
     # timm brings torchvision and takes a second to import: only networks that use it pay for it
     import timm
 

@@ -14,6 +14,7 @@ from stereokit.costs.matching_network import MatchingNetwork
 from stereokit.costs.pair_lookup import PairLookup, correlation_pyramid, look_up, look_up_on_demand
 from stereokit.costs.signed_correlation import SignedCorrelation, signed_correlation
 from stereokit.costs.volume_lookup import VolumeLookup, look_up_volume, volume_pyramid
+from stereokit.costs.warped_correlation import WarpedCorrelation, warped_correlation
 
 __all__ = [
     "CombinedVolume",
@@ -26,6 +27,7 @@ __all__ = [
     "PairLookup",
     "SignedCorrelation",
     "VolumeLookup",
+    "WarpedCorrelation",
     "concatenation_volume",
     "correlation_pyramid",
     "correlation_volume",
@@ -37,4 +39,5 @@ __all__ = [
     "look_up_volume",
     "signed_correlation",
     "volume_pyramid",
+    "warped_correlation",
 ]

@@ -1,6 +1,7 @@
 """Training losses over the known pixels, by name: see `LOSSES`."""
 
 from stereokit.losses.cross_entropy import CrossEntropy, masked_cross_entropy, truth_of_cells
+from stereokit.losses.density import Density, density_divergence
 from stereokit.losses.l1 import L1, mean_of_cells
 from stereokit.losses.laplace import LaplaceCrossEntropy, laplace_cross_entropy
 from stereokit.losses.quantile import Quantile, masked_pinball
@@ -13,6 +14,7 @@ from stereokit.losses.wasserstein import Wasserstein, masked_wasserstein, neighb
 __all__ = [
     "L1",
     "CrossEntropy",
+    "Density",
     "LaplaceCrossEntropy",
     "Loss",
     "Quantile",
@@ -20,6 +22,7 @@ __all__ = [
     "Sequence",
     "SmoothL1",
     "Wasserstein",
+    "density_divergence",
     "laplace_cross_entropy",
     "masked_cross_entropy",
     "masked_pinball",

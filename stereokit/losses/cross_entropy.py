@@ -7,6 +7,7 @@ from stereokit.contracts import Distribution, Prediction
 from stereokit.errors import ConfigError, InputError
 from stereokit.layers import at_least_float32
 from stereokit.losses.known import mean_over_known
+from stereokit.losses.l1 import mean_of_cells
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 
@@ -53,6 +54,14 @@ def masked_cross_entropy(distribution: Distribution, truth: Tensor, *, max_dispa
     0.6931
     """
     cells, known, logits = known_cells(distribution, truth, max_disparity)
+    entropy, _ = two_level_entropy(distribution, cells, known, logits)
+    return mean_over_known(entropy, known)
+
+
+def two_level_entropy(
+    distribution: Distribution, cells: Tensor, known: Tensor, logits: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Cross-entropy of the truth that is split between its two levels, and the share of the upper one, (B, h, w)."""
     last = logits.shape[1] - 1
     lower, share = _split(distribution, cells, known, last)
     log_mass = at_least_float32(logits).log_softmax(1)
@@ -60,22 +69,28 @@ def masked_cross_entropy(distribution: Distribution, truth: Tensor, *, max_dispa
     below, above = (log_mass.gather(1, level.clamp(max=last).long()) for level in (lower, lower + 1))
     # a level without a share may be impossible: 0 times -inf is 0
     entropy = -torch.where(share < 1, (1 - share) * below, 0) - torch.where(share > 0, share * above, 0)
-    return mean_over_known(entropy.squeeze(1), known)
+    return entropy.squeeze(1), share.squeeze(1)
 
 
 def known_cells(
-    distribution: Distribution, truth: Tensor, max_disparity: float | None
+    distribution: Distribution, truth: Tensor, max_disparity: float | None, *, mean: bool = False
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The truth of each cell (B, h, w), whether it is known, and the logits (B, L, h, w) of these cells."""
+    """The truth of each cell (B, h, w), whether it is known, and the logits (B, L, h, w) of these cells.
+
+    The truth is that of the pixel in the middle, or the mean of the known ones.
+    """
     logits = distribution.logits
-    cells = truth_of_cells(truth, distribution.stride)
+    if mean:
+        cells, known = mean_of_cells(truth, distribution.stride, max_disparity=max_disparity)
+    else:
+        cells = truth_of_cells(truth, distribution.stride)
+        known = valid_pixels(cells, max_disparity=max_disparity)
     rows, columns = cells.shape[1:]
     if logits.dim() != 4 or logits.shape[0] != len(truth) or logits.shape[2] < rows or logits.shape[3] < columns:
         raise InputError(
             f"ground truth {tuple(truth.shape)} at stride {distribution.stride} wants logits of at least "
             f"({len(truth)}, L, {rows}, {columns}); got {tuple(logits.shape)}"
         )
-    known = valid_pixels(cells, max_disparity=max_disparity)
     # those of unknown cells may be anything, and have no gradient
     return cells, known, torch.where(known.unsqueeze(1), logits[:, :, :rows, :columns], 0)
 

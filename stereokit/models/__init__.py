@@ -11,6 +11,7 @@ from stereokit.models.fast_acvnet import FastACVNet, FastACVNetPlus
 from stereokit.models.ganet import ganet_11, ganet_deep
 from stereokit.models.gcnet import gcnet
 from stereokit.models.gwcnet import gwcnet_g, gwcnet_gc
+from stereokit.models.hd3 import HD3S, HD3SC
 from stereokit.models.igev import IGEV, RTIGEV
 from stereokit.models.leastereo import leastereo
 from stereokit.models.lightstereo import lightstereo_l, lightstereo_m, lightstereo_s
@@ -23,6 +24,8 @@ from stereokit.models.stereonet import stereonet_8x, stereonet_16x
 
 __all__ = [
     "CRL",
+    "HD3S",
+    "HD3SC",
     "IGEV",
     "RTIGEV",
     "DeepPrunerBest",

@@ -168,6 +168,29 @@ def _raft(name: str, sides: str, levels: int) -> Golden:
     )
 
 
+def _hd3(name: str, parameters: int, lowest: float) -> Case:
+    def level(number: int, stride: int) -> Tap:
+        return Tap(f"levels.{number}", field="disparity", sign=-stride)
+
+    return Case(
+        # outer projections of trees of depth 2 are never read
+        parameters=parameters - 41_728,
+        golden=Golden(
+            name,
+            norm=(lowest, lowest + 0.2),
+            taps={
+                "vect0": level(0, 64),
+                "prob3": Tap("levels.3.head"),
+                "vect3": level(3, 8),
+                "prob5": Tap("levels.5.head", "2/2"),
+                "vect5": level(5, 2),
+            },
+        ),
+        loss="density",
+        size=(64, 128),
+    )
+
+
 CAFFE = "published for Caffe, with layers for GPUs alone"
 
 NOT_COMMERCIAL = "its code, weights and outputs are not for commercial use; held to its keys in test_deeppruner.py"
@@ -327,6 +350,8 @@ CASES: dict[str, Case] = {
         loss="l1",
         size=(64, 128),
     ),
+    "hd3s": _hd3("hd3s", 38_651_692, 0.4),
+    "hd3sc": _hd3("hd3sc", 39_055_020, 0.45),
     "crl": Case(parameters=78_765_599, golden=CAFFE, loss="l1", size=(64, 128)),
     # its classifier of 4,883 weights is left out
     "segstereo": Case(

@@ -128,6 +128,15 @@ SWAPS = [
     ("casstereo_gwc", {"aggregation": CDN | {"base": "gwc_hourglass"}, "loss": "wasserstein"}),
     ("coex", {"loss": "wasserstein"}),
     ("psmnet", {"loss": {"name": "wasserstein", "neighbors": 0.2}}),
+    ("coex", {"backbone": {"name": "deep_aggregation", "channels": [4, 4, 6, 6, 8, 8, 8], "finest": 4}}),
+    ("psmnet", {"backbone": {"name": "deep_aggregation", "channels": [4, 4, 6, 6, 8, 8, 8], "finest": 4}}),
+    ("coex", {"loss": "density"}),
+    ("psmnet", {"loss": "density"}),
+    ("coex", {"regression": "most_probable_pair"}),
+    ("psmnet", {"regression": "most_probable_pair"}),
+    ("coex", {"aggregation": {"name": "dilated_context", "channels": 8}, "guidance_at": "one"}),
+    ("psmnet", {"aggregation": {"name": "dilated_context", "channels": 8}}),
+    ("lightstereo_s", {"aggregation": {"name": "dilated_context", "channels": 8, "dilations": [1, 2]}}),
 ]
 
 
