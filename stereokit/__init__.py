@@ -4,6 +4,7 @@ from stereokit._version import __version__
 from stereokit.aggregation import (
     AdaptiveAggregation,
     AttentionHourglass,
+    BilateralAggregation,
     DilatedContext,
     EncoderDecoder,
     GwcHourglass,
@@ -46,7 +47,7 @@ from stereokit.costs import (
     MatchingNetwork,
 )
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
-from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregation, SemiGlobalGuidance
+from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregation, ScalingGuidance, SemiGlobalGuidance
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
@@ -58,6 +59,8 @@ from stereokit.models import (
     FastACVNetPlus,
     aanet,
     aanet_plus,
+    banet_2d,
+    banet_3d,
     casstereo_gwc,
     casstereo_psm,
     cdn_psmnet,
@@ -120,6 +123,7 @@ __all__ = [
     "AdaptiveAggregation",
     "AdditiveGuidance",
     "AttentionHourglass",
+    "BilateralAggregation",
     "BottleneckPyramid",
     "CheckpointError",
     "CombinedVolume",
@@ -162,6 +166,7 @@ __all__ = [
     "Predictor",
     "RepeatedHourglass",
     "ResidualTower",
+    "ScalingGuidance",
     "SemiGlobalGuidance",
     "SeparableHourglass",
     "SeparableTrunk",
@@ -185,6 +190,8 @@ __all__ = [
     "__version__",
     "aanet",
     "aanet_plus",
+    "banet_2d",
+    "banet_3d",
     "build_model",
     "casstereo_gwc",
     "casstereo_psm",

@@ -3,6 +3,7 @@
 from stereokit.aggregation.adaptive import AdaptiveAggregation, CrossScale
 from stereokit.aggregation.attention_hourglass import AttentionHourglass
 from stereokit.aggregation.attention_propagation import AttentionPropagation, propagate_attention
+from stereokit.aggregation.bilateral import BilateralAggregation, ScaleAwareAttention
 from stereokit.aggregation.dilated_context import DilatedContext
 from stereokit.aggregation.encoder_decoder import EncoderDecoder
 from stereokit.aggregation.gwc_hourglass import GwcHourglass
@@ -20,6 +21,7 @@ __all__ = [
     "AdaptiveAggregation",
     "AttentionHourglass",
     "AttentionPropagation",
+    "BilateralAggregation",
     "CrossScale",
     "DilatedContext",
     "EncoderDecoder",
@@ -29,6 +31,7 @@ __all__ = [
     "LevelPathAggregation",
     "PlainAggregation",
     "RepeatedHourglass",
+    "ScaleAwareAttention",
     "SeparableHourglass",
     "ShortcutHourglass",
     "StackedHourglass",

@@ -1,6 +1,7 @@
 """The feature extractor of CoEx: a U-Net over any timm model."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -8,7 +9,7 @@ from torch import Tensor, nn
 from stereokit.backbones.encoder import build_encoder
 from stereokit.contracts import FeatureInfo, Features
 from stereokit.errors import ConfigError
-from stereokit.layers import ConvNormAct, Norm, UpStep, image_stem
+from stereokit.layers import ConvNormAct, Norm, UpStep, image_stem, named_activation
 from stereokit.registry import BACKBONES
 
 __all__ = ["UNet"]
@@ -27,14 +28,19 @@ class UNet(nn.Module):
             concatenated to the decoder too, and matched.
         pretrained: load timm's weights for the encoder.
         norm: of decoder and stem.
+        channels: of the decoder's map at stride 4; None for twice the encoder's.
+        activation: of decoder and stem, see `named_activation`.
+        stem_activation: of the second convolution at each stride of the stem.
+        up_kernel: of the transposed convolutions of the decoder, 3 or 4.
 
     Shape: (B, 3, H, W), sides multiples of 32, to `Features`; with the default encoder the channels are
     96 (matching) and {2: 32, 4: 96, 8: 64, 16: 192, 32: 160} (guides).
 
     Raises:
-        ConfigError: another number of stem channels.
+        ConfigError: another number of stem channels, or an unknown activation.
 
-    Source: CoEx, section "Matching cost computation"; the stem at stride 8 is that of Fast-ACVNet.
+    Source: CoEx, section "Matching cost computation"; the stem at stride 8 is that of Fast-ACVNet, kernels of 3
+    are those of BANet.
 
     >>> UNet().eval()(torch.rand(1, 3, 64, 96)).matching[4].shape
     torch.Size([1, 96, 16, 24])
@@ -49,21 +55,29 @@ class UNet(nn.Module):
         stem_channels: Sequence[int] = (32, 48),
         pretrained: bool = False,
         norm: Norm = "batch",
+        channels: int | None = None,
+        activation: str = "leaky_relu",
+        stem_activation: str = "relu",
+        up_kernel: int = 4,
     ) -> None:
         super().__init__()
         if len(stem_channels) not in (2, 3):
             raise ConfigError(f"stem_channels={stem_channels!r}: give two, at strides 2 and 4, or a third, at 8")
         stem2, stem4, *stem8 = stem_channels
+        act = named_activation(activation)
+        stem = partial(image_stem, norm=norm, activation=act, last_activation=named_activation(stem_activation))
+        up = partial(UpStep, norm=norm, activation=act, kernel_size=up_kernel)
         self.encoder = build_encoder(encoder, pretrained=pretrained)
         skips = self.encoder.channels
-        self.stem_2 = image_stem(3, stem2, norm=norm)
-        self.stem_4 = image_stem(stem2, stem4, norm=norm)
-        self.stem_8 = image_stem(stem4, sum(stem8), inner=stem4, norm=norm) if stem8 else None
-        self.up_16 = UpStep(skips[32], skips[16], 2 * skips[16], norm=norm)
-        self.up_8 = UpStep(self.up_16.out_channels, skips[8], 2 * skips[8], norm=norm)
-        self.up_4 = UpStep(self.up_8.out_channels, skips[4], 2 * skips[4], norm=norm)
-        self.merge_4 = ConvNormAct(self.up_4.out_channels, self.up_4.out_channels, norm=norm)
-        matching = self.up_4.out_channels + stem4
+        self.stem_2 = stem(3, stem2)
+        self.stem_4 = stem(stem2, stem4)
+        self.stem_8 = stem(stem4, sum(stem8), inner=stem4) if stem8 else None
+        self.up_16 = up(skips[32], skips[16], 2 * skips[16])
+        self.up_8 = up(self.up_16.out_channels, skips[8], 2 * skips[8])
+        self.up_4 = up(self.up_8.out_channels, skips[4], 2 * skips[4])
+        finest = self.up_4.out_channels if channels is None else channels
+        self.merge_4 = ConvNormAct(self.up_4.out_channels, finest, norm=norm, activation=act)
+        matching = finest + stem4
         eighth = self.up_8.out_channels + sum(stem8)
         self.info = FeatureInfo(
             matching_channels={4: matching, 8: eighth} if stem8 else {4: matching},

@@ -1,6 +1,6 @@
 """Ways in which image features guide the aggregation of a cost volume."""
 
-from stereokit.guidance.excitation import GCE, AdditiveGuidance, excite
+from stereokit.guidance.excitation import GCE, AdditiveGuidance, ScalingGuidance, excite
 from stereokit.guidance.multi_scale_attention import MSCA
 from stereokit.guidance.neighborhood import NeighborhoodAggregation, neighborhood_sum
 from stereokit.guidance.point import GuidancePlan, GuidancePoint, NoGuidance
@@ -14,6 +14,7 @@ __all__ = [
     "GuidancePoint",
     "NeighborhoodAggregation",
     "NoGuidance",
+    "ScalingGuidance",
     "SemiGlobalGuidance",
     "excite",
     "neighborhood_sum",

@@ -1,12 +1,13 @@
-"""Guided Cost volume Excitation (GCE), and its additive twin."""
+"""Guided Cost volume Excitation (GCE), and its twins that add and that scale without a bound."""
 
 from torch import Tensor, nn
 
+from stereokit.errors import ConfigError
 from stereokit.guidance.shapes import check_guide
-from stereokit.layers import ConvNormAct, init_convolutions
+from stereokit.layers import ConvNormAct, init_convolutions, named_activation
 from stereokit.registry import GUIDANCE
 
-__all__ = ["GCE", "AdditiveGuidance", "excite"]
+__all__ = ["GCE", "AdditiveGuidance", "ScalingGuidance", "excite"]
 
 
 def excite(volume: Tensor, logits: Tensor) -> Tensor:
@@ -33,14 +34,20 @@ def excite(volume: Tensor, logits: Tensor) -> Tensor:
 class _PointwiseGuidance(nn.Module):
     """Two point-wise convolutions from a guide to one value per channel of the volume."""
 
-    def __init__(self, guide_channels: int, volume_channels: int) -> None:
+    def __init__(
+        self, guide_channels: int, volume_channels: int, *, reduction: int = 2, activation: str = "leaky_relu"
+    ) -> None:
         super().__init__()
+        if reduction < 1:
+            raise ConfigError(f"reduction={reduction} of the guide's channels has to be 1 or more")
         self.guide_channels = guide_channels
         self.volume_channels = volume_channels
-        hidden = max(1, guide_channels // 2)
+        hidden = max(1, guide_channels // reduction)
         last = nn.Conv2d(hidden, volume_channels, 1)
         init_convolutions(last)
-        self.network = nn.Sequential(ConvNormAct(guide_channels, hidden, 1), last)
+        self.network = nn.Sequential(
+            ConvNormAct(guide_channels, hidden, 1, activation=named_activation(activation)), last
+        )
 
     def values(self, volume: Tensor, guide: Tensor) -> Tensor:
         """One value per channel of the volume and pixel, (B, volume_channels, H, W)."""
@@ -59,10 +66,13 @@ class GCE(_PointwiseGuidance):
     Args:
         guide_channels: of the image features I.
         volume_channels: of the cost volume.
+        reduction: by which the width between the two convolutions is smaller than the guide's.
+        activation: between them, see `named_activation`.
 
     Shape: volume (B, volume_channels, D, H, W) and guide (B, guide_channels, H, W) to the volume's shape.
 
     Raises:
+        ConfigError: a reduction below 1, or an unknown activation.
         InputError: in its forward, volume and guide of other channels, or of sizes that differ.
 
     Source: CoEx, section "Guided Cost volume Excitation".
@@ -85,10 +95,13 @@ class AdditiveGuidance(_PointwiseGuidance):
     Args:
         guide_channels: of the image features I.
         volume_channels: of the cost volume.
+        reduction: by which the width between the two convolutions is smaller than the guide's.
+        activation: between them, see `named_activation`.
 
     Shape: volume (B, volume_channels, D, H, W) and guide (B, guide_channels, H, W) to the volume's shape.
 
     Raises:
+        ConfigError: a reduction below 1, or an unknown activation.
         InputError: in its forward, volume and guide of other channels, or of sizes that differ.
 
     Source: CoEx, section "Ablation study", table "addition or excitation".
@@ -102,3 +115,37 @@ class AdditiveGuidance(_PointwiseGuidance):
     def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
         """Volume and guide to their sum."""
         return volume + self.values(volume, guide).unsqueeze(2)
+
+
+@GUIDANCE.register("scaling")
+class ScalingGuidance(_PointwiseGuidance):
+    r"""`GCE` without the sigmoid: :math:`C_o = F^{2D}(I) \times C_i`. The factor may be large, and negative.
+
+    Args:
+        guide_channels: of the image features I.
+        volume_channels: of the cost volume.
+        reduction: by which the width between the two convolutions is smaller than the guide's.
+        activation: between them, see `named_activation`.
+
+    Shape: volume (B, volume_channels, D, H, W) and guide (B, guide_channels, H, W) to the volume's shape.
+
+    Raises:
+        ConfigError: a reduction below 1, or an unknown activation.
+        InputError: in its forward, volume and guide of other channels, or of sizes that differ.
+
+    Source: Xu et al., "BANet: bilateral aggregation network for mobile stereo matching", ICCV 2025, its 2D form.
+
+    >>> import torch
+    >>> scale = ScalingGuidance(guide_channels=64, volume_channels=32, activation="relu6")
+    >>> scale(torch.rand(1, 32, 1, 16, 32), torch.rand(1, 64, 16, 32)).shape
+    torch.Size([1, 32, 1, 16, 32])
+    """
+
+    def __init__(
+        self, guide_channels: int, volume_channels: int, *, reduction: int = 1, activation: str = "leaky_relu"
+    ) -> None:
+        super().__init__(guide_channels, volume_channels, reduction=reduction, activation=activation)
+
+    def forward(self, volume: Tensor, guide: Tensor) -> Tensor:
+        """Volume and guide to their product."""
+        return volume * self.values(volume, guide).unsqueeze(2)

@@ -2,12 +2,20 @@
 
 from torch import nn
 
-from stereokit.layers.convolution import ConvNormAct, Norm, relu
+from stereokit.layers.convolution import Activation, ConvNormAct, Norm, leaky_relu, relu
 
 __all__ = ["image_stem"]
 
 
-def image_stem(in_channels: int, out_channels: int, *, inner: int | None = None, norm: Norm = "batch") -> nn.Sequential:
+def image_stem(
+    in_channels: int,
+    out_channels: int,
+    *,
+    inner: int | None = None,
+    norm: Norm = "batch",
+    activation: Activation = leaky_relu,
+    last_activation: Activation = relu,
+) -> nn.Sequential:
     """Two 3x3 convolutions, the first of which halves the size.
 
     Args:
@@ -15,6 +23,8 @@ def image_stem(in_channels: int, out_channels: int, *, inner: int | None = None,
         out_channels: of the output.
         inner: channels between the two; None for those of the output.
         norm: after each of them.
+        activation: after the first one.
+        last_activation: after the second one.
 
     Source: CoEx, section "Matching cost computation".
 
@@ -24,6 +34,6 @@ def image_stem(in_channels: int, out_channels: int, *, inner: int | None = None,
     """
     inner = out_channels if inner is None else inner
     return nn.Sequential(
-        ConvNormAct(in_channels, inner, stride=2, norm=norm),
-        ConvNormAct(inner, out_channels, norm=norm, activation=relu),
+        ConvNormAct(in_channels, inner, stride=2, norm=norm, activation=activation),
+        ConvNormAct(inner, out_channels, norm=norm, activation=last_activation),
     )

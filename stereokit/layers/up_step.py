@@ -20,6 +20,7 @@ class UpStep(nn.Module):
         activation: of both convolutions.
         skip_first: concatenate the skip ahead of the doubled map.
         norm: of both convolutions.
+        kernel_size: of the transposed convolution, 3 or 4.
 
     >>> UpStep(8, 4, 6)(torch.rand(1, 8, 3, 5), torch.rand(1, 4, 6, 10)).shape
     torch.Size([1, 6, 6, 10])
@@ -34,12 +35,13 @@ class UpStep(nn.Module):
         activation: Activation = leaky_relu,
         skip_first: bool = False,
         norm: Norm = "batch",
+        kernel_size: int = 4,
     ) -> None:
         super().__init__()
         self.out_channels = out_channels
         self.skip_first = skip_first
         conv = partial(ConvNormAct, norm=norm, activation=activation)
-        self.up = conv(in_channels, skip_channels, 4, stride=2, transposed=True)
+        self.up = conv(in_channels, skip_channels, kernel_size, stride=2, transposed=True)
         self.merge = conv(2 * skip_channels, out_channels)
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:

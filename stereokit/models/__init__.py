@@ -1,6 +1,7 @@
 """Networks: a recipe of a page each."""
 
 from stereokit.models.aanet import aanet, aanet_plus
+from stereokit.models.banet import banet_2d, banet_3d
 from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
 from stereokit.models.cdn import cdn_psmnet
 from stereokit.models.coex import coex
@@ -39,6 +40,8 @@ __all__ = [
     "SegStereo",
     "aanet",
     "aanet_plus",
+    "banet_2d",
+    "banet_3d",
     "casstereo_gwc",
     "casstereo_psm",
     "cdn_psmnet",

@@ -72,23 +72,30 @@ NECK = KeyMap(
     ]
 )
 
+HOURGLASS = KeyMap(
+    [
+        *_inverted("conv0.{n}.", "down1.blocks.{n}."),
+        *_inverted("conv1.", "down2.blocks.0."),
+        *_inverted("conv2.{n}.", "down2.blocks.{n+1}."),
+        *_inverted("conv3.", "down3.blocks.0."),
+        *_inverted("conv4.{n}.", "down3.blocks.{n+1}."),
+        ("conv5.", "up2.up."),
+        ("conv6.", "up1.up."),
+        *_inverted("redir2.", "up2.skip."),
+        *_inverted("redir1.", "up1.skip."),
+    ]
+)
+"""`InvertedResidualHourglass` without its guidance."""
+
 KEYS = (
     *ENCODER.under("backbone.", "backbone.encoder."),
     *NECK.under("neck.", "backbone."),
     # OpenStereo has the neck inside the backbone
     *NECK.under("backbone.", "backbone."),
-    *_inverted("cost_agg.conv0.{n}.", "aggregation.down1.blocks.{n}."),
-    *_inverted("cost_agg.conv1.", "aggregation.down2.blocks.0."),
-    *_inverted("cost_agg.conv2.{n}.", "aggregation.down2.blocks.{n+1}."),
-    *_inverted("cost_agg.conv3.", "aggregation.down3.blocks.0."),
-    *_inverted("cost_agg.conv4.{n}.", "aggregation.down3.blocks.{n+1}."),
+    *HOURGLASS.under("cost_agg.", "aggregation."),
     *_attention("cost_agg.att0.", "aggregation.down1.guidance.block."),
     *_attention("cost_agg.att2.", "aggregation.down2.guidance.block."),
     *_attention("cost_agg.att4.", "aggregation.down3.guidance.block."),
-    ("cost_agg.conv5.", "aggregation.up2.up."),
-    ("cost_agg.conv6.", "aggregation.up1.up."),
-    *_inverted("cost_agg.redir2.", "aggregation.up2.skip."),
-    *_inverted("cost_agg.redir1.", "aggregation.up1.skip."),
     ("refine_1.{n}.block.", "upsampler.refine.{n}."),
     ("stem_2.{n}.block.", "upsampler.image_stem.{n}."),
     *_up("refine_2.", "upsampler.up.0."),

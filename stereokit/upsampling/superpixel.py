@@ -1,6 +1,6 @@
 """Superpixel upsampling: each pixel is a learned mean of the 3x3 coarse cells around it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from stereokit.contracts import Guides
 from stereokit.errors import ConfigError, InputError
-from stereokit.layers import ConvNormAct, Norm, at_least_float32, crop_to, init_convolutions, relu
+from stereokit.layers import ConvNormAct, Norm, at_least_float32, crop_to, init_convolutions, named_activation
 from stereokit.registry import UPSAMPLERS
 
 __all__ = ["SuperpixelUpsampler", "Superpixels", "superpixel_upsample"]
@@ -157,11 +157,16 @@ class SuperpixelUpsampler(Superpixels):
         stride: of the disparity; None for `scale`, which ends at full resolution.
         padding: outside the coarse map, see `superpixel_upsample`.
         norm: of all layers.
+        channels: of the stem and of the decoder.
+        activation: of all layers, see `named_activation`.
+        stem_activation: of the second convolution of the stem.
+        up_kernel: of the transposed convolutions but the last, 3 or 4.
 
     Shape: disparity (B, h, w) and guides by stride to (B, h * scale, w * scale), values not scaled.
 
     Raises:
-        ConfigError: there is no guide at this stride, the stride is no power of two, or the padding is unknown.
+        ConfigError: there is no guide at this stride, the stride is no power of two, or padding or an activation are
+            unknown.
 
     Source: CoEx, section "Top-k disparity regression".
 
@@ -179,21 +184,28 @@ class SuperpixelUpsampler(Superpixels):
         stride: int | None = None,
         padding: Padding = "replicate",
         norm: Norm = "batch",
+        channels: Sequence[int] = (24, 32),
+        activation: str = "leaky_relu",
+        stem_activation: str = "relu",
+        up_kernel: int = 4,
     ) -> None:
         super().__init__(scale=scale, guide_channels=guide_channels, stride=stride, padding=padding)
-        conv = partial(ConvNormAct, norm=norm)
+        conv = partial(ConvNormAct, norm=norm, activation=named_activation(activation))
+        stem, width = channels
         stride = self.stride
         self.strides = [stride >> i for i in range(1, scale.bit_length() - 1)]
         self.guide_channels = {s: guide_channels[s] for s in (stride, *self.strides) if s in guide_channels}
-        self.stem = nn.Sequential(conv(guide_channels[stride], 24), conv(24, 24, activation=relu))
+        self.stem = nn.Sequential(
+            conv(guide_channels[stride], stem), conv(stem, stem, activation=named_activation(stem_activation))
+        )
         self.up = nn.ModuleList()
         self.merge = nn.ModuleList()
-        channels = 24
+        given = stem
         for stride in self.strides:
-            self.up.append(conv(channels, 32, 4, stride=2, transposed=True))
-            channels = 32 + self.guide_channels.get(stride, 0)
-            self.merge.append(conv(channels, channels))
-        self.head = nn.ConvTranspose2d(channels, 9, 4, stride=2, padding=1)
+            self.up.append(conv(given, width, up_kernel, stride=2, transposed=True))
+            given = width + self.guide_channels.get(stride, 0)
+            self.merge.append(conv(given, given))
+        self.head = nn.ConvTranspose2d(given, 9, 4, stride=2, padding=1)
         init_convolutions(self.head)
 
     def weights(self, guides: Guides) -> Tensor:

@@ -1,3 +1,5 @@
+from functools import partial
+
 import pytest
 import torch
 from hypothesis import given
@@ -5,11 +7,11 @@ from hypothesis import strategies as st
 from torch import nn
 from torch.testing import assert_close
 
-from stereokit import GCE, AdditiveGuidance
+from stereokit import GCE, AdditiveGuidance, ConfigError, ScalingGuidance
 from stereokit.guidance.excitation import excite
 from tests.strategies import randn, seeds
 
-BLOCKS = [GCE, AdditiveGuidance]
+BLOCKS = [GCE, AdditiveGuidance, partial(ScalingGuidance, reduction=2)]
 
 
 @st.composite
@@ -55,6 +57,24 @@ def test_the_summand_of_addition_is_the_same_at_every_disparity(drawn):
     summand = block(torch.zeros_like(volume), guide)
     assert_close(summand, block.network(guide).unsqueeze(2).expand_as(volume))
     assert_close(block(volume, guide), volume + summand)
+
+
+@given(volumes_and_guides())
+def test_the_factor_of_scaling_is_the_same_at_every_disparity_and_any_number(drawn):
+    volume, guide = drawn
+    block = ScalingGuidance(5, 3, activation="relu6").double().eval()
+    assert_close(block(volume, guide), volume * block.network(guide).unsqueeze(2))
+    assert_close(block(-2 * volume, guide), -2 * block(volume, guide))
+    # of the guide's own width inside
+    assert block.network[0][0].out_channels == 5
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_an_unknown_activation_is_refused(block):
+    with pytest.raises(ConfigError, match="unknown activation"):
+        block(5, 3, activation="sine")
+    with pytest.raises(ConfigError, match="reduction"):
+        ScalingGuidance(5, 3, reduction=0)
 
 
 @pytest.mark.parametrize("block", BLOCKS)

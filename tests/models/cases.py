@@ -168,6 +168,23 @@ def _raft(name: str, sides: str, levels: int) -> Golden:
     )
 
 
+def _banet(name: str, norm: tuple[float, float], agg_0: Tap) -> Golden:
+    cosine = name == "banet3d"
+    return Golden(
+        name,
+        norm=norm,
+        taps={
+            "feature": Tap("backbone.merge_4", "2/2", left=True),
+            "correlation": Tap("cost", "2/2", sign=1 / 48 if cosine else 1),
+            "stem": Tap("aggregation.embedding", "2/1/4/4" if cosine else "4/4"),
+            "attention": Tap("aggregation.attention"),
+            "agg_0": agg_0,
+            "logits": Tap("aggregation", "2/2", item=-1),
+            "disparity_low": Tap("regression"),
+        },
+    )
+
+
 def _hd3(name: str, parameters: int, lowest: float) -> Case:
     def level(number: int, stride: int) -> Tap:
         return Tap(f"levels.{number}", field="disparity", sign=-stride)
@@ -254,6 +271,15 @@ CASES: dict[str, Case] = {
     # their aggregation sees further than tiles overlap
     "lightstereo_m": _lightstereo("m", 7_641_264, seam=6.0),
     "lightstereo_l": _lightstereo("l", 24_286_512, seam=6.0, rounding=0.05),
+    # of the published ones 32 are frozen and take a mean
+    "banet_2d": Case(
+        parameters=5_456_649 - 32, golden=_banet("banet2d", (0.6, 0.9), Tap("aggregation.heads.0", "2/2"))
+    ),
+    # and the 4 weights of two norms that are never read
+    "banet_3d": Case(
+        parameters=3_631_973 - 4,
+        golden=_banet("banet3d", (0.5, 0.8), Tap("aggregation.branches.0", "2/2", item=-1)),
+    ),
     "stereonet_8x": Case(
         parameters=624_644,
         golden=Golden("stereonet_8x", norm=(0.5, 0.8), taps=STEREONET),

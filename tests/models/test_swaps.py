@@ -137,6 +137,13 @@ SWAPS = [
     ("coex", {"aggregation": {"name": "dilated_context", "channels": 8}, "guidance_at": "one"}),
     ("psmnet", {"aggregation": {"name": "dilated_context", "channels": 8}}),
     ("lightstereo_s", {"aggregation": {"name": "dilated_context", "channels": 8, "dilations": [1, 2]}}),
+    ("lightstereo_s", {"aggregation": {"name": "bilateral", "branch": {"name": "inverted_residual"}}}),
+    ("coex", {"aggregation": {"name": "bilateral", "branch": {"name": "hourglass", "channels": [2, 3, 4]}}}),
+    ("psmnet", {"aggregation": {"name": "bilateral", "branch": GWC, "channels": 4}}),
+    ("coex", {"guidance": "scaling"}),
+    ("psmnet", {"guidance": {"name": "scaling", "reduction": 2}}),
+    ("banet_2d", {"guidance": "msca", "top_k": 2}),
+    ("banet_3d", {"cost": "groupwise_correlation", "upsampler": "convex"}),
 ]
 
 
