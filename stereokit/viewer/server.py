@@ -17,6 +17,7 @@ import numpy as np
 
 from stereokit.errors import ConfigError, InputError, StereoKitError
 from stereokit.viewer.desk import Desk, Gone
+from stereokit.viewer.packing import with_head
 from stereokit.viewer.standalone import PAGE_FILES
 
 __all__ = ["PORT", "ViewServer", "host_is_allowed"]
@@ -201,7 +202,7 @@ def _route(desk: Desk, path: str, query: dict[str, str]) -> Answer:
         return _json(_wanted(lambda: desk.entry(_number(query, "index"))).facts())
     if path == "/next":
         shot = _wanted(lambda: desk.next(_number(query, "after", least=-1)))
-        return _json({"ended": True} if shot is None else shot.facts())
+        return Answer(with_head({"ended": True}) if shot is None else shot.packed())
     match = re.fullmatch(r"/shot/(\d{1,12})/(\w+)", path)
     if match is None or match[2] not in _PARTS:
         raise _Refused(404, f"there is nothing at {path[:80]!r}")

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereokit.inference import DisparityResult
+from stereokit.viewer.packing import DISPARITY_STEPS, FINE_STEPS, quantised, with_head
 
 __all__ = ["Image", "Shot", "encode_image"]
 
@@ -62,6 +63,26 @@ class Shot:
         if self.result.confidence is None:
             return None
         return np.rint(np.nan_to_num(self.result.confidence) * 65535).astype("<u2").tobytes()
+
+    def packed(self) -> bytes:
+        """All of it in one answer, for streams: a head in JSON, the disparity in whole steps plus 1 (uint16; 0 where
+        unknown), the confidence in steps of 1/255 (uint8), and both images.
+
+        The head's length comes first, in four bytes; all numbers are little-endian. The head says the length of each
+        part, and how many steps a pixel of disparity has.
+        """
+        known = self.result.known_range
+        steps = FINE_STEPS if known is None or known[1] < 65534 / FINE_STEPS else DISPARITY_STEPS
+        confidence = self.result.confidence
+        levels = None if confidence is None else (np.nan_to_num(confidence) * 255 + 0.5).astype(np.uint8)
+        parts = {
+            "disparity": quantised(self.result.disparity, steps).astype("<u2").tobytes(),
+            "confidence": b"" if levels is None else levels.tobytes(),
+            "left": self.image_bytes("left")[0],
+            "right": self.image_bytes("right")[0],
+        }
+        facts = {**self.facts(), "steps": steps, "parts": {name: len(part) for name, part in parts.items()}}
+        return with_head(facts, *parts.values())
 
     def image_bytes(self, view: str) -> tuple[bytes, str]:
         """The view "left" or "right" as a file, and its type."""

@@ -17,7 +17,16 @@ from stereokit.viewer.sources import Album
 
 __all__ = ["PAGE_FILES", "write_page"]
 
-SCRIPTS = ("geometry.js", "source.js", "picture.js", "cloud.js", "chart.js", "app.js")
+SCRIPTS = (
+    "geometry.js",
+    "source.js",
+    "picture.js",
+    "points_webgl.js",
+    "points_raster.js",
+    "cloud.js",
+    "chart.js",
+    "app.js",
+)
 PAGE_FILES = ("index.html", "viewer.css", *SCRIPTS)
 """Of the page; whatever else there is, is not served."""
 

@@ -18,9 +18,11 @@ from stereokit import InputError, Predictor, build_model
 from stereokit.data import read_image
 from stereokit.data.pairs import match_pairs
 from stereokit.errors import ConfigError
+from stereokit.inference import DisparityResult
 from stereokit.viewer import Album, Desk, Frames, ViewServer
 from stereokit.viewer.desk import KEPT
 from stereokit.viewer.server import host_is_allowed
+from stereokit.viewer.shot import Shot
 from stereokit.viewer.sources import find_results
 from stereokit.viewer.standalone import PAGE_FILES
 from tests.viewer.scenes import CAMERA, HEIGHT, WIDTH, Columns, confidence, disparity, save_pairs
@@ -35,13 +37,17 @@ class Reply(NamedTuple):
     def json(self):
         return json.loads(self.content)
 
+    @property
+    def head(self):
+        return json.loads(self.content[4 : 4 + int.from_bytes(self.content[:4], "little")])
+
 
 class Client:
     def __init__(self, server):
         self.port = server.server_address[1]
 
     def __call__(self, path, *, method="GET", **headers):
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
         named = {name.replace("_", "-"): value for name, value in headers.items()}
         connection.putrequest(method, path, skip_host="Host" in named)
         for name, value in named.items():
@@ -275,20 +281,48 @@ def stream(count, error=None):
 
 def test_every_frame_of_a_video_comes_once_and_then_the_end():
     with served(stream(3)) as ask:
-        seen = [ask("/next?after=-1").json]
+        seen = [ask("/next?after=-1").head]
         while not seen[-1].get("ended"):
-            seen.append(ask(f"/next?after={seen[-1]['number']}").json)
+            seen.append(ask(f"/next?after={seen[-1]['number']}").head)
         assert [facts["name"] for facts in seen[:-1]] == [f"clip, frame {i}" for i in range(3)]
         # another page gets the newest, and takes none away
-        assert ask("/next?after=-1").json == seen[2]
+        assert ask("/next?after=-1").head == seen[2]
         image = ask(f"/shot/{seen[2]['number']}/left")
         assert image.headers["content-type"] == "image/jpeg"
         assert ask("/entry?index=0").status == 422
 
 
+@pytest.mark.parametrize(("largest", "steps"), [(200.0, 256), (400.0, 64)])
+def test_a_frame_arrives_in_one_answer(largest, steps):
+    rng = np.random.default_rng(0)
+    values = rng.uniform(0, largest, (HEIGHT - 1, WIDTH - 1)).astype(np.float32)
+    values[0, 0] = largest
+    values[2, 3] = np.nan
+    certainty = rng.random(values.shape, np.float32)
+    image = np.tile(rng.integers(0, 256, (1, WIDTH - 1, 1), np.uint8), (HEIGHT - 1, 1, 3))
+    shot = Shot(7, "clip", image, image[:, ::-1], DisparityResult(values, certainty, 0.1), lossless=False)
+    packed = Reply(200, shot.packed(), {})
+    head, at = packed.head, 4 + int.from_bytes(packed.content[:4], "little")
+    assert (head["number"], head["width"], head["height"], at % 4) == (7, WIDTH - 1, HEIGHT - 1, 0)
+    parts = {}
+    for name, length in head["parts"].items():
+        parts[name] = packed.content[at : at + length]
+        at += length
+    assert at == len(packed.content)
+    assert head["steps"] == steps
+    codes = np.frombuffer(parts["disparity"], "<u2").reshape(values.shape)
+    found = np.where(codes == 0, np.nan, (codes - 1.0) / steps)
+    np.testing.assert_allclose(found, values, atol=0.51 / steps)
+    levels = np.frombuffer(parts["confidence"], np.uint8).reshape(values.shape)
+    np.testing.assert_allclose(levels / 255, certainty, atol=0.51 / 255)
+    for name, view in (("left", image), ("right", image[:, ::-1])):
+        decoded = cv2.imdecode(np.frombuffer(parts[name], np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+        assert np.abs(decoded.astype(int) - view).mean() < 12
+
+
 def test_a_video_that_breaks_off_says_so():
     with served(stream(1, InputError("clip ends after 1 whole frame"))) as ask:
-        number = ask("/next?after=-1").json["number"]
+        number = ask("/next?after=-1").head["number"]
         reply = ask(f"/next?after={number}")
         assert (reply.status, reply.content) == (422, b"clip ends after 1 whole frame")
 
@@ -297,7 +331,7 @@ def test_old_frames_are_forgotten():
     with served(stream(KEPT + 2)) as ask:
         number = -1
         for _ in range(KEPT + 1):
-            number = ask(f"/next?after={number}").json["number"]
+            number = ask(f"/next?after={number}").head["number"]
         assert ask(f"/shot/{number}/disparity").status == 200
         assert ask("/shot/1/disparity").status == 410
 

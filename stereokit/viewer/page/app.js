@@ -14,6 +14,7 @@ class App {
     this.pinned = null;       // whose distribution is shown
     this.paused = false;
     this.ranges = {};         // of a map, if it was moved
+    this.ranged = {};         // the last range that was not
     this.window = new Window();
     const on = {
       hover: (x, y) => this.hover(x, y),
@@ -79,11 +80,10 @@ class App {
     try {
       let coming = this.source.next(this.frame ? this.frame.number : after);
       while (!this.paused) {
-        const facts = await coming;
-        if (facts.ended) { this.say("That was the last frame."); this.pause(true); break; }
-        after = facts.number;
-        const loaded = await this.source.load(facts);
-        // the next one is matched while this one is drawn
+        const loaded = await coming;
+        if (loaded.ended) { this.say("That was the last frame."); this.pause(true); break; }
+        after = loaded.number;
+        // the next one is matched while this one is drawn; no more than that one is on its way
         coming = this.paused ? null : this.source.next(after);
         if (coming) coming.catch(() => {});
         this.show(loaded);
@@ -111,9 +111,9 @@ class App {
   show(frame) {
     const {width, height} = frame, before = this.frame;
     this.frame = frame;
+    frame.spread = spread(frame.disparity);
     this.occluded = null;
-    const [, middle] = spread(frame.disparity);
-    this.geometry = new Geometry(this.about.calibration, width, height, middle);
+    this.geometry = new Geometry(this.about.calibration, width, height, frame.spread[1]);
     if (!before || before.width !== width || before.height !== height) {
       this.window.reset();
       this.pixel = null;
@@ -122,12 +122,14 @@ class App {
     this.pinned = null;
     this.left.image = frame.left;
     this.right.image = frame.right;
-    this.photo = new OffscreenCanvas(width, height);
-    const context = this.photo.getContext("2d", {willReadFrequently: true});
-    context.drawImage(frame.left, 0, 0);
-    this.photoDots = context.getImageData(0, 0, width, height).data;
-    this.dots = new ImageData(width, height);
-    this.canvas = new OffscreenCanvas(width, height);
+    if (!this.dots || this.dots.width !== width || this.dots.height !== height) {
+      this.photo = new OffscreenCanvas(width, height).getContext("2d", {willReadFrequently: true});
+      this.dots = new ImageData(width, height);
+      this.canvas = new OffscreenCanvas(width, height);
+      this.points = new Float32Array(width * height);
+    }
+    this.photo.drawImage(frame.left, 0, 0);
+    this.photoDots = this.photo.getImageData(0, 0, width, height).data;
     this.flying = null;
     this.describe();
     this.setMap(this.map);
@@ -140,7 +142,7 @@ class App {
     if (frame.confidence !== null) facts.push(`mean confidence ${(spreadMean(frame.confidence) * 100).toFixed(0)} %`);
     $("facts").textContent = (this.about.entries && this.about.entries.length > 1 ? "" : `${frame.name}: `) + facts.join(" · ");
     const note = !this.geometry.metric ? "No calibration: the shape is not to scale" : this.geometry.assumesRow ? "The calibration has no cy: its row is taken to be the middle one" : "";
-    $("cloud-note").textContent = this.cloud.gl ? note : "This browser has no WebGL 2, which the cloud needs";
+    $("cloud-note").textContent = note;
     for (const input of document.querySelectorAll("#maps input")) {
       const lacking = {depth: !this.geometry.metric, confidence: frame.confidence === null, occlusion: !about.matching && !about.embedded}[input.value] ?? false;
       input.disabled = lacking;
@@ -192,9 +194,20 @@ class App {
   /** The ends of the slider, and of the colours. */
   range() {
     if (this.map === "confidence") { const [low, high] = this.ranges.confidence || [0, 1]; return {least: 0, most: 1, low, high}; }
-    const values = this.values(), [a, , b] = spread(values), pad = Math.max(1e-6, (b - a) * 0.5);
+    const [a, b] = this.seenRange(), pad = Math.max(1e-6, (b - a) * 0.5);
     const [low, high] = this.ranges[this.map] || (b > a ? [a, b] : [a - 0.5, b + 0.5]);
     return {least: Math.min(low, Math.max(0, a - pad)), most: Math.max(high, b + pad), low, high};
+  }
+
+  /** Of the map's values; of a stream it follows them, fast where it widens and slowly where it narrows, so that colours do not flicker. */
+  seenRange() {
+    const {frame, map, about} = this;
+    if (this.ranged.map === map && this.ranged.frame === frame) return this.ranged.ends;
+    const [a, , b] = map === "depth" ? spread(this.values()) : frame.spread;
+    const before = about.stream && this.ranged.map === map ? this.ranged.ends : [a, b];
+    const ends = [before[0] + (a < before[0] ? 0.5 : 0.02) * (a - before[0]), before[1] + (b > before[1] ? 0.5 : 0.02) * (b - before[1])];
+    this.ranged = {map, frame, ends};
+    return ends;
   }
 
   setRange(low, high) {
@@ -225,9 +238,11 @@ class App {
     this.mapped.image = frame.left;
     const hide = $("flying").checked;
     if (hide && !this.flying) this.flying = flyingPixels(frame.disparity, frame.width, frame.height);
-    const points = frame.disparity.slice();
-    for (let i = 0; i < points.length; i++)
-      if (points[i] !== points[i] || (kept && !kept[i]) || (hide && this.flying[i])) points[i] = HIDDEN;
+    const {points} = this, {disparity} = frame, {flying} = this;
+    for (let i = 0; i < points.length; i++) {
+      const d = disparity[i];
+      points[i] = d !== d || (kept && !kept[i]) || (hide && flying[i]) ? HIDDEN : d;
+    }
     this.cloud.show(this.geometry, frame.width, frame.height, points, $("by-map").checked && map !== "occlusion" ? dots.data : this.photoDots);
     this.hover(this.pixel && this.pixel.x, this.pixel && this.pixel.y);
   }

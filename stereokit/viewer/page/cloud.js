@@ -1,45 +1,17 @@
 "use strict";
-// The point cloud in WebGL 2. The graphics card makes the points of disparity; a frame sends disparity and colours alone.
+// The point cloud: how it is looked at, turned and measured in.
 
 const HIDDEN = -1e9;
 
-const VERTEX = `#version 300 es
-in float disparity;
-in vec4 color;
-uniform int columns;
-uniform int step;         // one pixel of so many is drawn
-uniform vec4 camera;      // fx, fy, cx, cy
-uniform vec2 stereo;      // baseline fx, cx1 - cx0
-uniform mat3 turn;
-uniform vec3 pivot;
-uniform float away;
-uniform vec2 focal;       // of the screen, in dots
-uniform vec2 centre;
-uniform vec2 screen;
-out vec3 tint;
-void main() {
-  tint = color.rgb;
-  float shift = disparity + stereo.y;
-  if (disparity < -1e8 || shift <= 0.0 || color.a == 0.0) {
-    gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-    gl_PointSize = 0.0;
-    return;
-  }
-  float z = stereo.x / shift;
-  int index = gl_VertexID * step;
-  vec2 pixel = vec2(float(index % columns), float(index / columns));
-  vec3 seen = turn * (vec3((pixel - camera.zw) * z / camera.xy, z) - pivot) + vec3(0.0, 0.0, away);
-  vec2 place = (focal * seen.xy + centre * seen.z) * 2.0 / screen;
-  float near = away * 0.01, far = away * 400.0;
-  gl_Position = vec4(place.x, -place.y, ((far + near) * seen.z - 2.0 * far * near) / (far - near), seen.z);
-  gl_PointSize = clamp(1.2 * sqrt(float(step)) * focal.x * z / camera.x / max(seen.z, near), 1.0, 48.0);
-}`;
-
-const FRAGMENT = `#version 300 es
-precision mediump float;
-in vec3 tint;
-out vec4 result;
-void main() { result = vec4(tint, 1.0); }`;
+/** Whether WebGL 2 is there and is not run in software. */
+function hasGraphicsCard() {
+  const gl = new OffscreenCanvas(1, 1).getContext("webgl2", {failIfMajorPerformanceCaveat: true});
+  if (!gl) return false;
+  const told = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = String(gl.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}
 
 class Cloud {
   /** on: picked(pixel), key(event), turned() */
@@ -51,11 +23,13 @@ class Cloud {
     this.ends = [];       // pixels that are measured between
     this.pixel = null;    // under the pointer in the pictures
     this.pressed = null;
-    this.gl = canvas.getContext("webgl2", {antialias: false, alpha: false, preserveDrawingBuffer: false});
-    if (!this.gl) return;
-    this.prepare();
+    this.step = 1;
+    this.uploads = 0;
+    this.seen = null;     // how the points were drawn last
+    this.gl = hasGraphicsCard() ? canvas.getContext("webgl2", {antialias: false, alpha: false}) : null;
+    this.points = this.gl ? new WebGlPoints(this.gl) : new RasterPoints(canvas);
     canvas.addEventListener("webglcontextlost", event => event.preventDefault());
-    canvas.addEventListener("webglcontextrestored", () => { this.prepare(); this.upload(); on.turned(); });
+    canvas.addEventListener("webglcontextrestored", () => { this.points.prepare(); this.upload(); on.turned(); });
     canvas.addEventListener("pointerdown", event => this.down(event));
     canvas.addEventListener("pointermove", event => this.moved(event));
     canvas.addEventListener("pointerup", event => this.up(event));
@@ -68,37 +42,6 @@ class Cloud {
     }, {passive: false});
   }
 
-  prepare() {
-    const {gl} = this, program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
-    gl.useProgram(program);
-    gl.enable(gl.DEPTH_TEST);
-    const uniform = name => gl.getUniformLocation(program, name);
-    this.uniforms = Object.fromEntries(["columns", "step", "camera", "stereo", "turn", "pivot", "away", "focal", "centre", "screen"].map(name => [name, uniform(name)]));
-    this.buffers = [gl.createBuffer(), gl.createBuffer()];
-    this.places = ["disparity", "color"].map(name => gl.getAttribLocation(program, name));
-    this.places.forEach(place => gl.enableVertexAttribArray(place));
-    this.step = 1;
-  }
-
-  /** Draws every so many'th pixel. */
-  drawPoints(step) {
-    const {gl} = this;
-    gl.uniform1i(this.uniforms.step, step);
-    [[1, gl.FLOAT, false], [4, gl.UNSIGNED_BYTE, true]].forEach(([size, type, normalised], i) => {
-      gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers[i]);
-      gl.vertexAttribPointer(this.places[i], size, type, normalised, 4 * step, 0);
-    });
-    gl.drawArrays(gl.POINTS, 0, Math.floor(this.disparity.length / step));
-  }
-
   /** disparity: HIDDEN where there is no point; colors: RGBA, alpha 0 where there is none either. */
   show(geometry, width, height, disparity, colors) {
     const first = this.geometry === null || this.width !== width || this.height !== height;
@@ -108,12 +51,9 @@ class Cloud {
   }
 
   upload() {
-    const {gl} = this;
-    if (!gl || !this.geometry) return;
-    for (const [buffer, data] of [[this.buffers[0], this.disparity], [this.buffers[1], this.colors]]) {
-      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-      gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_DRAW);
-    }
+    if (!this.geometry) return;
+    this.points.upload(this.width, this.height, this.disparity, this.colors);
+    this.uploads++;
   }
 
   /** From beside the camera, where the cloud looks as deep as it is. */
@@ -146,6 +86,12 @@ class Cloud {
   lens() {
     const {geometry: g, canvas, width, height} = this, scale = Math.min(canvas.width / width, canvas.height / height);
     return {focal: [scale * g.fx, scale * g.fy], centre: [(g.cx + 0.5 - width / 2) * scale, (g.cy + 0.5 - height / 2) * scale]};
+  }
+
+  /** From where the points are seen. */
+  get view() {
+    const {geometry, pivot, away} = this;
+    return {geometry, rotation: this.rotation(), pivot, away, ...this.lens()};
   }
 
   /** A function from a pixel's place and disparity to a dot of the screen and its distance; null behind the viewer. */
@@ -234,32 +180,21 @@ class Cloud {
   draw(background, moving = false) {
     fitToScreen(this.canvas);
     fitToScreen(this.marks);
-    const {gl, canvas} = this;
-    if (!gl) return;
-    gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clearColor(...background, 1);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    if (!this.geometry) return;
-    const g = this.geometry, u = this.uniforms, {focal, centre} = this.lens();
-    gl.uniform1i(u.columns, this.width);
-    gl.uniform4f(u.camera, g.fx, g.fy, g.cx, g.cy);
-    gl.uniform2f(u.stereo, g.product, g.offset);
-    gl.uniformMatrix3fv(u.turn, true, this.rotation());
-    gl.uniform3fv(u.pivot, this.pivot);
-    gl.uniform1f(u.away, this.away);
-    gl.uniform2fv(u.focal, focal);
-    gl.uniform2fv(u.centre, centre);
-    gl.uniform2f(u.screen, canvas.width, canvas.height);
-    this.drawPoints(moving ? this.step : 1);
+    if (!this.geometry) { this.seen = null; return this.points.clear(background); }
+    const start = performance.now(), {view} = this, step = moving ? this.step : 1;
+    const seen = [this.uploads, step, this.canvas.width, this.canvas.height, ...background, ...view.rotation, ...view.pivot, view.away].join();
+    if (seen !== this.seen) this.points.draw(background, view, step);
+    const drawn = seen !== this.seen;
+    this.seen = seen;
     this.drawMarks();
-    if (!moving) return;
-    // the next frame comes when the card is done
-    const start = performance.now();
-    requestAnimationFrame(() => {
+    if (!moving || !drawn) return;
+    const adapt = () => {
       const took = performance.now() - start;
       if (took > 60) this.step = Math.min(7, this.step + 2);
       else if (took < 25) this.step = Math.max(1, this.step - 2);
-    });
+    };
+    // the next frame comes when the card is done
+    this.gl ? requestAnimationFrame(adapt) : adapt();
   }
 
   drawMarks() {

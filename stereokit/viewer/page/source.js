@@ -27,7 +27,20 @@ async function ask(path) {
 class ServedSource {
   async facts() { return (await ask("facts")).json(); }
   async entry(index) { return (await ask(`entry?index=${index}`)).json(); }
-  async next(after) { return (await ask(`next?after=${after}`)).json(); }
+
+  /** The next frame of a stream, all of it in one answer; see Shot.packed. */
+  async next(after) {
+    const buffer = await (await ask(`next?after=${after}`)).arrayBuffer(), size = new DataView(buffer).getUint32(0, true);
+    const facts = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, size)));
+    if (facts.ended) return facts;
+    let at = 4 + size;
+    const part = (name, type) => { const found = new type(buffer, at, facts.parts[name] / type.BYTES_PER_ELEMENT); at += facts.parts[name]; return found; };
+    const codes = part("disparity", Uint16Array), levels = facts.parts.confidence ? part("confidence", Uint8Array) : null;
+    const [left, right] = ["left", "right"].map(name => createImageBitmap(new Blob([part(name, Uint8Array)], {type: "image/jpeg"})));
+    const {steps} = facts, disparity = new Float32Array(codes.length);
+    for (let i = 0; i < codes.length; i++) disparity[i] = codes[i] === 0 ? NaN : (codes[i] - 1) / steps;
+    return {...facts, disparity, confidence: levels && mapped(levels, v => v / 255), left: await left, right: await right};
+  }
 
   /** Images and arrays of a frame, all at once. */
   async load(frame) {
