@@ -255,6 +255,18 @@ class StereoNetwork(
 
     def _check_images(self, left: Tensor, right: Tensor) -> None:
         for name, image in (("left", left), ("right", right)):
+            if not isinstance(image, Tensor):
+                raise InputError(
+                    f"the {name} images are {type(image).__name__}; expected a tensor (B, 3, H, W); Predictor takes "
+                    "paths and arrays"
+                )
+            if image.layout is not torch.strided:
+                raise InputError(f"the {name} images are sparse; expected a plain tensor, as its to_dense() gives")
+            if image.device.type != self.mean.device.type:
+                raise InputError(
+                    f"the {name} images are on {image.device.type}, the network on {self.mean.device.type}; move one "
+                    "with .to(device)"
+                )
             if image.dim() != 4 or image.shape[1] != 3:
                 raise InputError(f"the {name} images are RGB, (B, 3, H, W); got {tuple(image.shape)}")
             if image.dtype != torch.uint8 and not image.is_floating_point():

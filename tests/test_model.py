@@ -2,6 +2,7 @@ import copy
 import math
 import shutil
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -230,6 +231,10 @@ def test_a_copy_is_independent(name):
         (torch.ones(1, 3, 32, 32).int(), torch.ones(1, 3, 32, 32).int(), ["uint8, or float", "int32"]),
         (torch.ones(1, 3, 32, 32).bool(), torch.ones(1, 3, 32, 32).bool(), ["uint8, or float", "bool"]),
         (torch.ones(1, 3, 32, 32).byte(), torch.ones(1, 3, 32, 32), ["differ in type", "uint8", "float32"]),
+        ("left.png", "right.png", ["left", "are str", "Predictor takes paths"]),
+        (torch.rand(1, 3, 32, 32), np.ones((1, 3, 32, 32)), ["right", "are ndarray", "expected a tensor"]),
+        (torch.rand(1, 3, 32, 32).to_sparse(), torch.rand(1, 3, 32, 32), ["left", "sparse", "to_dense()"]),
+        (torch.rand(1, 3, 32, 32), torch.rand(1, 3, 32, 32, device="meta"), ["right", "on meta, the network on cpu"]),
     ],
 )
 def test_what_is_no_pair_of_images_is_refused(left, right, words):

@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> None:
     for spec, dataset in datasets.items():
         if options.submission is None and not any(entry.disparity for entry in dataset.entries):
             raise InputError(f"{spec!r} has no ground truth, split {dataset.split!r}: there is nothing to count")
-    log = PairLog(options.out, overwrite=options.overwrite)
+    log = PairLog(options.out)
     observers: list[Observer] = [log]
     report = None
     if options.report is not None:
@@ -111,6 +111,8 @@ def run(options: argparse.Namespace) -> None:
         [dataset] = datasets.values()
         observers.append(KittiSubmission(options.submission, dataset, overwrite=options.overwrite))
     matcher = _matcher(options)
+    if log.path.exists():
+        print(f"replacing {printable(log.path)}, which an evaluation left that did not end", file=sys.stderr)
     evaluation = evaluate(
         matcher,
         datasets,

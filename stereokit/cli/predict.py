@@ -18,7 +18,7 @@ from stereokit.cli.loading import load_predictor
 from stereokit.cli.options import add_bit_depth_option, add_predictor_options, add_published_options, network_help
 from stereokit.data.inputs import to_pair
 from stereokit.data.pairs import ImagePair, match_pairs
-from stereokit.errors import ConfigError, InputError, StereoKitError
+from stereokit.errors import ConfigError, InputError, StereoKitError, printable
 from stereokit.files import check_folder, check_free
 from stereokit.inference import Predictor, output_paths
 from stereokit.inference.predictor import advice
@@ -107,7 +107,7 @@ def _predict_one(pair: ImagePair, options: argparse.Namespace, depth: DepthFiles
         rectified=predictor.rectification is not None,
     )
     for line in depth.write(out, pair.name, result, computed):
-        tqdm.write(f"{pair.name}: {line}")
+        tqdm.write(f"{_shown(pair.name)}: {line}")
 
 
 def _refuse_options_for_many(options: argparse.Namespace, given: str) -> None:
@@ -127,7 +127,7 @@ def _predict_many(pairs: Sequence[ImagePair], options: argparse.Namespace, depth
             if bar is None:
                 bar = stack.enter_context(tqdm(total=len(pairs), unit="pair", disable=len(pairs) == 1))
             if isinstance(outcome, StereoKitError):
-                tqdm.write(f"{pair.name}: {outcome}", file=sys.stderr)
+                tqdm.write(f"{_shown(pair.name)}: {outcome}", file=sys.stderr)
             elif not outcome.done_before:
                 _say_matched(outcome, options)
             bar.update()
@@ -152,7 +152,7 @@ def _predict_many(pairs: Sequence[ImagePair], options: argparse.Namespace, depth
 def _say_matched(outcome: MatchedPair, options: argparse.Namespace) -> None:
     name, record = outcome.pair.name, outcome.record
     if outcome.again is not None:
-        tqdm.write(f"{name}: matched again: {outcome.again}")
+        tqdm.write(f"{_shown(name)}: matched again: {outcome.again}")
     own = {path.name for path in output_paths(options.out, name)}
     _say(
         name,
@@ -168,7 +168,7 @@ def _say_matched(outcome: MatchedPair, options: argparse.Namespace) -> None:
         rectified=options.rig is not None,
     )
     for line in outcome.notes:
-        tqdm.write(f"{name}: {line}")
+        tqdm.write(f"{_shown(name)}: {line}")
 
 
 def _say(
@@ -186,6 +186,7 @@ def _say(
     rectified: bool,
 ) -> None:
     """What became of a pair, in lines."""
+    name = _shown(name)
     height, width = size
     if invalid:
         why = "were not seen by both cameras" if rectified else f"have no finite disparity, {advice(precision, device)}"
@@ -194,12 +195,17 @@ def _say(
         tqdm.write(f"{name}: made ready for {width} x {height} px in {preparation_seconds:.1f} s")
     tqdm.write(
         f"{name}: {width} x {height} px, disparity {disparity[0]:.1f} to {disparity[1]:.1f} px, {seconds:.2f} s "
-        f"on {device}; wrote {', '.join(map(str, written))}"
+        f"on {device}; wrote {', '.join(_shown(path) for path in written)}"
     )
     if len(written) < len(output_paths("", name)):
         tqdm.write(f"{name}: no 16-bit PNG, which holds 0 to 255.996 px")
     if (warning := noise_warning(name, mean_confidence)) is not None:
         tqdm.write(warning, file=sys.stderr)
+
+
+def _shown(name: str | Path) -> str:
+    """A name as a terminal shows it, whatever its characters."""
+    return printable(name, most=1000)[1:-1]
 
 
 def _totals(summary: Summary, options: argparse.Namespace) -> str:

@@ -1,9 +1,13 @@
 """The `stereokit` command: its parser and its table of commands."""
 
 import argparse
+import io
 import os
 import sys
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
@@ -82,13 +86,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the process is this command's own
         keep_freed_memory()
         end_in_order()
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            # names of files may be any bytes; a name that can't be shown must not lose what was computed
+            sys.stdout.reconfigure(errors="backslashreplace")
     given = _commanded(sys.argv[1:] if arguments is None else list(arguments))
     options, unknown = _parser().parse_known_args(given, argparse.Namespace(arguments=given))
     if unknown:
         _refuse(options.command, unknown)
     command, _ = COMMANDS[options.command]
     try:
-        code: int | None = command.run(options)
+        with _warnings_on_one_line():
+            code: int | None = command.run(options)
     except StereoKitError as error:
         print(f"stereokit {options.command}: {error}", file=sys.stderr)
         return 2
@@ -101,6 +109,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return code or 0
+
+
+@contextmanager
+def _warnings_on_one_line() -> Iterator[None]:
+    """The library's warnings, without the place in its code that Python adds."""
+    usual = warnings.formatwarning
+    package = Path(__file__).parents[1]
+
+    def formatted(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+    ) -> str:
+        if issubclass(category, UserWarning) and package in Path(filename).parents:
+            # a bar may stand in the line
+            return f"{chr(13) + chr(27) + '[K' if sys.stderr.isatty() else ''}warning: {message}\n"
+        return usual(message, category, filename, lineno, line)
+
+    warnings.formatwarning = formatted
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual
 
 
 def _commanded(arguments: list[str]) -> list[str]:

@@ -1,6 +1,7 @@
 """Images of any kind a user may hold, to what a network takes."""
 
 import os
+import warnings
 from typing import Any, TypeAlias, Union
 
 import numpy as np
@@ -52,13 +53,16 @@ def to_image_tensor(image: ImageLike, name: str = "image", *, bit_depth: int | N
     return _to_tensor(_stored(image, name), bit_depth)
 
 
-def to_pair(left: ImageLike, right: ImageLike, *, bit_depth: int | None = None) -> tuple[Tensor, Tensor]:
+def to_pair(
+    left: ImageLike, right: ImageLike, *, bit_depth: int | None = None, doubt: bool = True
+) -> tuple[Tensor, Tensor]:
     """A rectified pair as two tensors of one shape and type.
 
     Args:
         left: see `ImageLike`.
         right: the same.
         bit_depth: of the views that have more than 8 bits per sample; see `to_image_tensor`.
+        doubt: warn of the same image twice; it is done once, where views pass through here again.
 
     Returns:
         Two (1, 3, H, W), both uint8 or both float32.
@@ -67,7 +71,7 @@ def to_pair(left: ImageLike, right: ImageLike, *, bit_depth: int | None = None) 
         InputError: see `to_image_tensor`; or the two differ in size.
 
     Warns:
-        UserWarning: one view has 8 bits per sample, the other 16; and see `to_rgb`.
+        UserWarning: one view has 8 bits per sample, the other 16; both are the same image; and see `to_rgb`.
 
     >>> to_pair(np.zeros((4, 6), np.uint8), np.zeros((4, 6, 3), np.float32))[0].dtype
     torch.float32
@@ -87,6 +91,10 @@ def to_pair(left: ImageLike, right: ImageLike, *, bit_depth: int | None = None) 
         )
     if left.dtype != right.dtype:
         left, right = as_float(left), as_float(right)
+    # one colour all over is the same of any camera that sees nothing
+    if doubt and torch.equal(left, right) and bool((left != left[..., :1, :1]).any()):
+        names = " and ".join(view[1] for view in views)
+        warnings.warn(f"{names} are the same: give the views of both cameras", stacklevel=2)
     return left, right
 
 

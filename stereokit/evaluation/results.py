@@ -143,24 +143,20 @@ class PairLog:
     """Writes the numbers of each pair as soon as they are known: an observer of `evaluate`.
 
     One line of JSON for each pair, in the order in which they were matched. It is what an evaluation that is ended
-    before its time leaves; `finish` removes it when the files of `Evaluation.save` are there.
+    before its time leaves; the first pair of the next one replaces it. `finish` removes it when the files of
+    `Evaluation.save` are there.
 
     Args:
         folder: is made with the first pair.
-        overwrite: replace what an evaluation before left.
-
-    Raises:
-        InputError: there is one already.
 
     >>> import tempfile
     >>> PairLog(tempfile.mkdtemp()).path.name
     'pairs.part.jsonl'
     """
 
-    def __init__(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.path = Path(folder) / "pairs.part.jsonl"
         self._begun = False
-        check_free([self.path], overwrite=overwrite)
 
     def __call__(self, dataset: str, sample: StereoSample, prediction: Disparity, result: PairResult) -> None:
         """Adds a line.

@@ -104,6 +104,7 @@ class Predictor:
         self.min_disparity = checked_min_disparity(min_disparity)
         check_bit_depth(bit_depth)
         self.bit_depth = bit_depth
+        self.unread = True
         check_backend(backend)
         place = None if isinstance(model, nn.Module) else find_network(model)
         if place is None or place.kind != "exported":
@@ -185,6 +186,7 @@ class Predictor:
         """The same, for views that `to_pair` has read already by the bit depth, so that it is not applied again."""
         other = copy.copy(self)
         other.bit_depth = None
+        other.unread = False
         return other
 
     def rectified(self, left: ImageLike, right: ImageLike) -> tuple[Tensor, Tensor]:
@@ -193,11 +195,11 @@ class Predictor:
         Raises:
             InputError: see `__call__`.
         """
-        pair = to_pair(left, right, bit_depth=self.bit_depth)
+        pair = to_pair(left, right, bit_depth=self.bit_depth, doubt=self.unread)
         if self.rectification is None:
             return pair
         first, second = self.rectification(*(view[0].permute(1, 2, 0).numpy() for view in pair))
-        return to_pair(first, second)
+        return to_pair(first, second, doubt=False)
 
     def match(self, left: ImageLike, right: ImageLike) -> DisparityResult:
         """Matches one pair that is rectified, whether there is a rig or not.
@@ -205,7 +207,7 @@ class Predictor:
         Raises:
             InputError: see `__call__`.
         """
-        return self._match(*to_pair(left, right, bit_depth=self.bit_depth))
+        return self._match(*to_pair(left, right, bit_depth=self.bit_depth, doubt=self.unread))
 
     def _match(self, left: Tensor, right: Tensor) -> DisparityResult:
         check_least_size(*left.shape[-2:])
@@ -254,7 +256,7 @@ class Predictor:
             raise ConfigError(
                 f"distributions begin at disparity 0, and min_disparity is {self.min_disparity}; leave it out"
             )
-        left, right = to_pair(left, right, bit_depth=self.bit_depth)
+        left, right = to_pair(left, right, bit_depth=self.bit_depth, doubt=self.unread)
         given = (left.shape[-2], left.shape[-1])
         check_least_size(*given)
         size = scaled_size(given, self.scale)

@@ -283,7 +283,11 @@ def test_what_was_found_before_the_end_is_kept(capsys: pytest.CaptureFixture[str
     [line] = (here / "evaluation/pairs.part.jsonl").read_text().splitlines()
     assert json.loads(line)["name"] == "a"
     assert json.loads(line)["metrics"]["pixels"] > 0
-    assert "pairs.part.jsonl' exists already" in fails(capsys, *arguments)
     (here / "fine.py").write_text("def of(left, right):\n    return left[:, :, 0] / 9\n")
-    assert run(capsys, "eval", "--data", "folder:mine", "--model", "fine:of", "--overwrite")[0] == 0
+    # what is refused before the first pair leaves it there, and what is matched replaces it
+    assert run(capsys, "eval", "--data", "folder:nowhere", "--model", "fine:of")[0] == 2
+    assert (here / "evaluation/pairs.part.jsonl").exists()
+    code, _, shown = run(capsys, "eval", "--data", "folder:mine", "--model", "fine:of")
+    assert code == 0
+    assert "replacing 'evaluation/pairs.part.jsonl', which an evaluation left that did not end" in shown
     assert sorted(p.name for p in (here / "evaluation").iterdir()) == ["datasets.csv", "evaluation.json", "pairs.csv"]

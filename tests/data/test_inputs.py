@@ -154,6 +154,18 @@ def test_bit_depth_of_every_kind_of_image(tmp_path: Path) -> None:
         to_image_tensor(deep, bit_depth=99)
 
 
+def test_the_same_image_twice_is_warned_of(recwarn: pytest.WarningsRecorder) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (4, 5, 3), np.uint8)
+    other = image.copy()
+    other[3, 4, 2] ^= 1
+    to_pair(image, other)
+    # of one colour all over, which a covered lens sees too
+    to_pair(np.full_like(image, 7), np.full_like(image, 7))
+    assert not recwarn
+    with pytest.warns(UserWarning, match="the left image and the right image are the same: give the views of both"):
+        to_pair(image, image / 255)
+
+
 def test_bit_depth_of_a_pair_is_that_of_its_deep_views() -> None:
     deep, flat = np.full((4, 5), 4095, np.uint16), np.full((4, 5), 255, np.uint8)
     with pytest.warns(UserWarning, match="one image of a pair has 8 bits per sample, the other more"):
