@@ -242,3 +242,12 @@ def test_a_network_that_is_sure_of_a_level_estimates_its_disparity(name):
     assert_close(middle, torch.full_like(middle, expected), rtol=0, atol=1e-3)
     truth = torch.full((1, 12, 12), expected)
     assert masked_cross_entropy(distribution, truth).item() == pytest.approx(0, abs=1e-6)
+
+
+@given(estimates, truths, st.floats(0.1, 5))
+def test_the_robust_loss_equals_the_loop(disparity, truth, scale):
+    known = truth.isfinite() & (truth > 0) & (truth < 40)
+    apart = (disparity - truth)[known].tolist()
+    expected = sum(math.hypot(a / scale, 1) - 1 for a in apart) / max(1, len(apart))
+    loss = named_loss({"name": "robust", "scale": scale})(Prediction(disparity), truth, max_disparity=40)
+    assert loss.item() == pytest.approx(expected, abs=1e-12)

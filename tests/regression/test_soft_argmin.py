@@ -201,3 +201,18 @@ def test_a_volume_with_its_channel_is_refused(function):
 def test_k_is_a_positive_whole_number(arguments):
     with pytest.raises(ConfigError, match="whole number"):
         TopKSoftArgmin(**arguments)
+
+
+@given(logits(), seeds)
+def test_stretched_candidates_reach_the_end_of_the_range(volume, seed):
+    levels = volume.shape[1]
+    regression = SoftArgmin(include_end=True)
+    assert regression.min_levels == 2
+    assert SoftArgmin().min_levels == 1
+    candidates = randn(seed, levels, dtype=volume.dtype)
+    # given candidates stay as they are
+    assert_close(regression(volume, candidates), soft_argmin(volume, candidates))
+    if levels > 1:
+        stretched = torch.linspace(0, levels, levels, dtype=volume.dtype)
+        assert_close(regression(volume), soft_argmin(volume, stretched))
+        assert_close(regression.with_confidence(volume)[0], soft_argmin(volume, stretched))
