@@ -1,5 +1,6 @@
 """Commands whose disk is full, or that are killed at the worst moment."""
 
+import json
 import os
 import signal
 import subprocess
@@ -89,6 +90,24 @@ def test_an_evaluation_that_is_killed_while_it_writes_leaves_whole_files(tmp_pat
     again = run(FULL, tmp_path, [*arguments, *overwrite], most=2**30)
     assert again.returncode == 0, again.stderr[-500:]
     assert "pairs.part.jsonl" not in files(tmp_path / "out")
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize("at", [1, 2])
+def test_a_benchmark_that_is_killed_while_it_writes_leaves_whole_files(tmp_path: Path, at: int) -> None:
+    pytest.importorskip("matplotlib")
+    arguments = ["bench", "--rival", "sgbm", "--size", "32", "64", "--max-disparity", "32", "--repeats", "1",
+                 "--warmup", "1", "--json", "b.json", "--plot", "b.svg"]  # fmt: skip
+    ended = run(KILLED, tmp_path, arguments, at=at)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr[-500:]
+    assert [name for name in files(tmp_path) if not name.startswith(".")] == ["b.json"][: at - 1]
+    if at == 2:
+        assert len(json.loads((tmp_path / "b.json").read_text())["rows"]) == 1
+    overwrite = ["--overwrite"] if at > 1 else []
+    again = run(FULL, tmp_path, [*arguments, *overwrite], most=2**30)
+    assert again.returncode == 0, again.stderr[-500:]
+    assert {"b.json", "b.svg"} <= set(files(tmp_path))
 
 
 @posix

@@ -37,7 +37,6 @@ class PeakMemory:
             torch.cuda.reset_peak_memory_stats(self.device)
             self._start = torch.cuda.memory_allocated(self.device)
         elif self.device.type == "cpu":
-            hand_back_memory()
             self.restart()
             self._start = _status("VmRSS") or 0
 
@@ -46,6 +45,8 @@ class PeakMemory:
         if self.device.type == "cuda":
             torch.cuda.reset_peak_memory_stats(self.device)
             return
+        # else what was freed and is kept counts as held, see `keep_freed_memory`
+        hand_back_memory()
         try:
             # 5 sets the high-water mark to what is resident now
             CLEAR.write_text("5")
