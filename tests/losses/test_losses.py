@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -10,6 +11,7 @@ from torch.testing import assert_close
 from stereokit import InputError, StereoOutput, build_model
 from stereokit.contracts import Distribution, Features, Prediction
 from stereokit.losses import masked_cross_entropy, masked_smooth_l1, named_loss, stereo_loss, truth_of_cells
+from stereokit.losses.l1 import mean_of_cells
 from stereokit.metrics import valid_pixels
 from stereokit.registry import LOSSES
 from stereokit.regression.soft_argmin import top_k_soft_argmin
@@ -251,3 +253,19 @@ def test_the_robust_loss_equals_the_loop(disparity, truth, scale):
     expected = sum(math.hypot(a / scale, 1) - 1 for a in apart) / max(1, len(apart))
     loss = named_loss({"name": "robust", "scale": scale})(Prediction(disparity), truth, max_disparity=40)
     assert loss.item() == pytest.approx(expected, abs=1e-12)
+
+
+@given(
+    hnp.arrays("float64", st.tuples(st.just(1), st.integers(1, 9), st.integers(1, 9)), elements=st.floats(-5, 60)),
+    st.integers(1, 5),
+)
+def test_means_of_cells_equal_the_loop(values, stride):
+    truth = torch.tensor(values)
+    height, width = values.shape[1:]
+    means, known = mean_of_cells(truth, stride, max_disparity=40)
+    assert means.shape == known.shape == (1, math.ceil(height / stride), math.ceil(width / stride))
+    for row, column in itertools.product(*map(range, means.shape[1:])):
+        cell = truth[0, row * stride : (row + 1) * stride, column * stride : (column + 1) * stride]
+        inside = cell[(cell > 0) & (cell < 40)]
+        assert known[0, row, column] == bool(len(inside))
+        assert means[0, row, column].item() == pytest.approx(inside.mean().item() if len(inside) else 0)
