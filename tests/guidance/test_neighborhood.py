@@ -143,6 +143,10 @@ def test_half_precision_is_finite(dtype):
     assert weights.isfinite().all()
 
 
+def test_offsets_are_no_weights():
+    assert block_of(3).state_dict().keys() == dict(block_of(3).named_parameters()).keys()
+
+
 def test_one_feature_is_enough():
     block = NeighborhoodAggregation(1, 2, position_channels=1)
     assert block(torch.rand(1, 2, 3, 4, 5), torch.rand(1, 1, 4, 5)).shape == (1, 2, 3, 4, 5)
