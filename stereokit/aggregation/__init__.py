@@ -15,19 +15,23 @@ from stereokit.aggregation.repeated_hourglass import RepeatedHourglass
 from stereokit.aggregation.separable_hourglass import SeparableHourglass
 from stereokit.aggregation.shortcut_hourglass import ShortcutHourglass
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
+from stereokit.aggregation.with_confidence import ConfidenceNetwork, WithConfidence
 from stereokit.aggregation.with_offsets import WithOffsets
+from stereokit.aggregation.with_upsampling import LearnedUpsampling, WithUpsampling, learned_upsample
 
 __all__ = [
     "AdaptiveAggregation",
     "AttentionHourglass",
     "AttentionPropagation",
     "BilateralAggregation",
+    "ConfidenceNetwork",
     "CrossScale",
     "DilatedContext",
     "EncoderDecoder",
     "GwcHourglass",
     "Hourglass",
     "InvertedResidualHourglass",
+    "LearnedUpsampling",
     "LevelPathAggregation",
     "PlainAggregation",
     "RepeatedHourglass",
@@ -35,6 +39,9 @@ __all__ = [
     "SeparableHourglass",
     "ShortcutHourglass",
     "StackedHourglass",
+    "WithConfidence",
     "WithOffsets",
+    "WithUpsampling",
+    "learned_upsample",
     "propagate_attention",
 ]

@@ -7,8 +7,12 @@ from stereokit.layers import ConvNormAct, init_convolutions, relu
 __all__ = ["logits_head"]
 
 
-def logits_head(channels: int) -> nn.Sequential:
+def logits_head(channels: int, *, bias: bool = False) -> nn.Sequential:
     """Two 3x3x3 convolutions: (B, channels, D, H, W) to (B, 1, D, H, W).
+
+    Args:
+        channels: of the volume.
+        bias: of the first convolution, ahead of its norm.
 
     Source: Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, table 1.
 
@@ -18,4 +22,4 @@ def logits_head(channels: int) -> nn.Sequential:
     """
     last = nn.Conv3d(channels, 1, 3, padding=1, bias=False)
     init_convolutions(last)
-    return nn.Sequential(ConvNormAct(channels, channels, dims=3, activation=relu), last)
+    return nn.Sequential(ConvNormAct(channels, channels, dims=3, bias=bias, activation=relu), last)

@@ -1,12 +1,15 @@
 """The cost aggregation of PSMNet: three hourglasses in a row, each with an output of its own."""
 
 from collections.abc import Mapping
+from functools import partial
+from typing import Literal
 
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from stereokit.aggregation.logits_head import logits_head
 from stereokit.contracts import GuidanceFactory, GuidancePlacement, Guides
+from stereokit.errors import ConfigError
 from stereokit.guidance.point import GuidancePlan, GuidancePoint
 from stereokit.layers import ConvNormAct, crop_to, relu
 from stereokit.registry import AGGREGATIONS
@@ -57,9 +60,15 @@ class StackedHourglass(nn.Module):
         guidance_at: "one" or "full".
         channels: of the volumes at the finest scale.
         stem: a convolution ahead of everything; None for one if the volume has a single channel.
+        bias: of the pairs, and of the first convolution of each head, ahead of their norms, as in AcfNet.
+        third_takes: the hourglass whose volume at half the size the third one adds to its own on the way up: 1 as in
+            PSMNet, or 2 as in AcfNet.
 
     Shape: volume (B, in_channels, D, H, W) and guides by stride to three tensors (B, D, H, W) of logits, larger is
     better, the best one last; in eval mode to that one alone.
+
+    Raises:
+        ConfigError: another hourglass.
 
     Source: Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, section 3.4 and table 1.
 
@@ -84,8 +93,13 @@ class StackedHourglass(nn.Module):
         guidance_at: GuidancePlacement = "one",
         channels: int = 32,
         stem: bool | None = None,
+        bias: bool = False,
+        third_takes: Literal[1, 2] = 1,
     ) -> None:
         super().__init__()
+        if third_takes not in (1, 2):
+            raise ConfigError(f"third_takes={third_takes!r}: the third hourglass adds to its own that of 1 or 2")
+        self.third_takes = third_takes
         self.in_channels = in_channels
         c = channels
         plan = GuidancePlan(guidance, guidance_at, stride, guide_channels)
@@ -96,15 +110,13 @@ class StackedHourglass(nn.Module):
         has_stem = in_channels == 1 if stem is None else stem
         self.stem = ConvNormAct(in_channels, c, dims=3) if has_stem else None
         self.guidance = plan.first(c)
+        conv = partial(ConvNormAct, dims=3, bias=bias)
         self.pair0 = nn.Sequential(
-            ConvNormAct(c if has_stem else in_channels, c, dims=3, activation=relu),
-            ConvNormAct(c, c, dims=3, activation=relu),
+            conv(c if has_stem else in_channels, c, activation=relu), conv(c, c, activation=relu)
         )
-        self.pair1 = nn.Sequential(
-            ConvNormAct(c, c, dims=3, activation=relu), ConvNormAct(c, c, dims=3, activation=None)
-        )
+        self.pair1 = nn.Sequential(conv(c, c, activation=relu), conv(c, c, activation=None))
         self.hourglass1, self.hourglass2, self.hourglass3 = hourglass(), hourglass(), hourglass()
-        self.head1, self.head2, self.head3 = (logits_head(c) for _ in range(3))
+        self.head1, self.head2, self.head3 = (logits_head(c, bias=bias) for _ in range(3))
         self.guide_channels = GuidancePlan.guides_read_by(self)
 
     def forward(self, volume: Tensor, guides: Guides) -> tuple[Tensor, ...]:
@@ -117,9 +129,9 @@ class StackedHourglass(nn.Module):
 
         out1, pre1, post1 = self.hourglass1(x, guides)
         out1 = out1 + x
-        out2, _, post2 = self.hourglass2(out1, guides, pre1, post1)
+        out2, pre2, post2 = self.hourglass2(out1, guides, pre1, post1)
         out2 = out2 + x
-        out3, _, _ = self.hourglass3(out2, guides, pre1, post2)
+        out3, _, _ = self.hourglass3(out2, guides, pre1 if self.third_takes == 1 else pre2, post2)
         out3 = out3 + x
 
         logits1 = self.head1(out1)

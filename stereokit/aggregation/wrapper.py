@@ -59,6 +59,7 @@ class Wrapper(nn.Module):
         self.scales = int(getattr(self.base, "scales", 1))
         self.least_size = int(getattr(self.base, "least_size", 0))
 
-    def heads(self, volume: Any, guides: Guides) -> list[Head]:
-        """What the base says."""
-        return [head if isinstance(head, Head) else Head(head) for head in self.base(volume, guides)]
+    def heads_with(self, blocks: nn.ModuleList, volume: Any, guides: Guides) -> list[tuple[Head, nn.Module]]:
+        """What the base says, each head with its own block; in eval mode there may be the last one alone."""
+        heads = [head if isinstance(head, Head) else Head(head) for head in self.base(volume, guides)]
+        return list(zip(heads, list(blocks)[-len(heads) :], strict=True))

@@ -1,5 +1,6 @@
 """The feature extractor of PSMNet: residual layers and spatial pyramid pooling."""
 
+from functools import partial
 from typing import cast
 
 import torch
@@ -8,7 +9,7 @@ from torch.nn import functional as F
 
 from stereokit.backbones.trunk import ResidualTrunk
 from stereokit.contracts import FeatureInfo, Features
-from stereokit.layers import ConvNormAct, init_convolutions, relu
+from stereokit.layers import ConvNormAct, ResidualBlock, init_convolutions, relu
 from stereokit.registry import BACKBONES
 
 __all__ = ["SpatialPyramid"]
@@ -17,9 +18,10 @@ __all__ = ["SpatialPyramid"]
 class PooledBranch(nn.Module):
     """One scale of the pyramid: average pooling, a 1x1 convolution, and back to the size of the input."""
 
-    def __init__(self, in_channels: int, out_channels: int, pool: int) -> None:
+    def __init__(self, in_channels: int, out_channels: int, pool: int, *, align_corners: bool = False) -> None:
         super().__init__()
         self.pool = pool
+        self.align_corners = align_corners
         self.conv = ConvNormAct(in_channels, out_channels, 1, activation=relu)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -31,7 +33,7 @@ class PooledBranch(nn.Module):
         pooled = F.avg_pool2d(F.pad(x, [0, cast(int, right), 0, cast(int, bottom)]), self.pool)
         share_inside = (self.pool - bottom) * (self.pool - right) / self.pool**2
         pooled = self.conv(pooled * (1 / share_inside))
-        return F.interpolate(pooled, size=(height, width), mode="bilinear", align_corners=False)
+        return F.interpolate(pooled, size=(height, width), mode="bilinear", align_corners=self.align_corners)
 
 
 @BACKBONES.register("spatial_pyramid")
@@ -45,6 +47,8 @@ class SpatialPyramid(ResidualTrunk):
         deep_guides: the guides at stride 2 come from behind the first residual layers, in place of ahead of them.
         halvings: 3 for stride 8, without dilation and the largest window, as in DeepPruner's fast form; then there are
             guides at stride 8 too.
+        align_corners: of the interpolation that brings the pooled maps back, as in AcfNet.
+        skip_bias: a bias in the 1x1 convolutions beside residual blocks, ahead of their norms; likewise.
 
     Shape: (B, 3, H, W), sides multiples of 4, to `Features`: matching (B, channels, H/4, W/4), guides
     {2: 32, 4: channels}.
@@ -66,10 +70,15 @@ class SpatialPyramid(ResidualTrunk):
         full_size: bool = False,
         deep_guides: bool = False,
         halvings: int = 2,
+        align_corners: bool = False,
+        skip_bias: bool = False,
     ) -> None:
-        super().__init__(full_size=full_size, halvings=halvings)
+        block = partial(ResidualBlock, skip_bias=skip_bias)
+        super().__init__(full_size=full_size, halvings=halvings, block=block)
         self.deep_guides = deep_guides or full_size
-        self.branches = nn.ModuleList([PooledBranch(128, 32, pool) for pool in (8, 16, 32, 64)[: 6 - halvings]])
+        self.branches = nn.ModuleList(
+            [PooledBranch(128, 32, pool, align_corners=align_corners) for pool in (8, 16, 32, 64)[: 6 - halvings]]
+        )
         beside = 64 if halvings == 2 else 128
         self.fuse = nn.Sequential(
             ConvNormAct(beside + 128 + 32 * len(self.branches), 128, activation=relu),

@@ -1,5 +1,6 @@
 """The residual layers that PSMNet, GwcNet and those after them share."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from torch import Tensor, nn
@@ -52,7 +53,7 @@ class ResidualTrunk(nn.Module):
         full_size: bool = False,
         halvings: int = 2,
         stem: nn.Sequential | None = None,
-        block: type[ResidualBlock | SeparableBlock] = ResidualBlock,
+        block: Callable[..., ResidualBlock | SeparableBlock] = ResidualBlock,
     ) -> None:
         super().__init__()
         if halvings not in (2, 3):

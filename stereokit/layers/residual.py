@@ -1,5 +1,6 @@
 """Residual blocks of 2D convolutions."""
 
+from collections.abc import Callable
 from functools import partial
 
 from torch import Tensor, nn
@@ -22,6 +23,7 @@ class ResidualBlock(nn.Module):
         after_sum: activation after the sum; None for none.
         norm: of all convolutions.
         bias: likewise.
+        skip_bias: of the skip's convolution; None for `bias`.
     """
 
     def __init__(
@@ -36,6 +38,7 @@ class ResidualBlock(nn.Module):
         after_sum: Activation | None = None,
         norm: Norm = "batch",
         bias: bool = False,
+        skip_bias: bool | None = None,
     ) -> None:
         super().__init__()
         conv = partial(ConvNormAct, norm=norm, bias=bias)
@@ -44,7 +47,14 @@ class ResidualBlock(nn.Module):
         self.skip = (
             nn.Identity()
             if stride == 1 and in_channels == out_channels
-            else conv(in_channels, out_channels, 1, stride=stride, activation=None)
+            else conv(
+                in_channels,
+                out_channels,
+                1,
+                stride=stride,
+                bias=bias if skip_bias is None else skip_bias,
+                activation=None,
+            )
         )
         self.after_sum = nn.Identity() if after_sum is None else after_sum()
 
@@ -100,7 +110,7 @@ def residual_layer(
     *,
     stride: int = 1,
     dilation: int = 1,
-    block: type[ResidualBlock | SeparableBlock] = ResidualBlock,
+    block: Callable[..., ResidualBlock | SeparableBlock] = ResidualBlock,
 ) -> nn.Sequential:
     """Residual blocks in a row; the first one changes size and width.
 

@@ -8,6 +8,7 @@ from stereokit.losses.quantile import Quantile, masked_pinball
 from stereokit.losses.robust import Robust
 from stereokit.losses.sequence import Sequence
 from stereokit.losses.smooth_l1 import SmoothL1, masked_smooth_l1
+from stereokit.losses.stereo_focal import StereoFocal, confidence_loss, stereo_focal_loss, unimodal_target
 from stereokit.losses.total import Loss, named_loss, stereo_loss
 from stereokit.losses.wasserstein import Wasserstein, masked_wasserstein, neighborhood_truth, wasserstein_distance
 
@@ -21,7 +22,9 @@ __all__ = [
     "Robust",
     "Sequence",
     "SmoothL1",
+    "StereoFocal",
     "Wasserstein",
+    "confidence_loss",
     "density_divergence",
     "laplace_cross_entropy",
     "masked_cross_entropy",
@@ -31,7 +34,9 @@ __all__ = [
     "mean_of_cells",
     "named_loss",
     "neighborhood_truth",
+    "stereo_focal_loss",
     "stereo_loss",
     "truth_of_cells",
+    "unimodal_target",
     "wasserstein_distance",
 ]

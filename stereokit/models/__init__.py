@@ -1,6 +1,7 @@
 """Networks: a recipe of a page each."""
 
 from stereokit.models.aanet import aanet, aanet_plus
+from stereokit.models.acfnet import acfnet, acfnet_uniform
 from stereokit.models.banet import banet_2d, banet_3d
 from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
 from stereokit.models.cdn import cdn_psmnet
@@ -40,6 +41,8 @@ __all__ = [
     "SegStereo",
     "aanet",
     "aanet_plus",
+    "acfnet",
+    "acfnet_uniform",
     "banet_2d",
     "banet_3d",
     "casstereo_gwc",

@@ -239,6 +239,25 @@ CASES: dict[str, Case] = {
     "casstereo_gwc": Case(
         parameters=10_943_776, training_only=2 * 85_728, golden=_casstereo("casstereo_gwc", 0.45, "2/2"), rounding=0.5
     ),
+    # without the 192 disparities that its published weights hold
+    "acfnet": Case(
+        parameters=5_559_264 - 192,
+        golden=Golden(
+            "acfnet",
+            norm=(0.5, 0.75),
+            taps={
+                "feature": Tap("backbone", "4/1/1", field="matching", item=4, left=True),
+                "cost3": Tap("aggregation", "8/8/8", item=(-1, 0)),
+                "confidence": Tap("", "2/2", field="confidence"),
+            },
+        ),
+        loss="stereo_focal",
+    ),
+    "acfnet_uniform": Case(
+        parameters=5_226_912 - 192,
+        golden="the adaptive form alone was recorded; its keys have a place in test_acfnet.py",
+        loss="stereo_focal",
+    ),
     "cdn_psmnet": Case(
         parameters=5_310_496,
         golden=Golden(

@@ -144,6 +144,14 @@ SWAPS = [
     ("psmnet", {"guidance": {"name": "scaling", "reduction": 2}}),
     ("banet_2d", {"guidance": "msca", "top_k": 2}),
     ("banet_3d", {"cost": "groupwise_correlation", "upsampler": "convex"}),
+    ("coex", {"loss": "stereo_focal"}),
+    ("psmnet", {"loss": "stereo_focal"}),
+    ("coex", {"aggregation": {"name": "with_confidence", "base": "hourglass"}, "loss": "stereo_focal"}),
+    ("gwcnet_g", {"aggregation": {"name": "with_confidence", "base": "gwc_hourglass"}, "loss": "stereo_focal"}),
+    ("coex", {"aggregation": {"name": "with_upsampling", "base": "hourglass"}, "upsampler": "none"}),
+    ("psmnet", {"aggregation": {"name": "with_upsampling", "base": "stacked_hourglass"}, "upsampler": "none"}),
+    ("acfnet", {"aggregation": CDN | {"base": "stacked_hourglass"}, "upsampler": "trilinear", "loss": "wasserstein"}),
+    ("cdn_psmnet", {"regression": "soft_argmin", "guidance": "gce", "loss": "stereo_focal"}),
 ]
 
 
