@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stereokit import Predictor
 from stereokit.calibration import Calibration
+from stereokit.cameras.rectification import rectify
+from stereokit.cameras.rig import Camera, Rig
 from stereokit.cli import video as command
 from stereokit.cli.interrupts import Terminated, end_in_order, finished_before_interrupt
 from stereokit.data import write_image
@@ -20,6 +23,7 @@ from stereokit.video.file import VideoFile
 from stereokit.video.whole_numbers import read_disparity_video, read_map_video
 from tests.cli.commands import fails, run
 from tests.video.videos import HEIGHT, WIDTH, FakeCamera, cut, picture, write_video
+from tests.viewer.scenes import Columns
 
 
 class FakePredictor:
@@ -127,6 +131,44 @@ def test_videos_that_cannot_be_used_are_one_line(
     ):
         assert words in fails(capsys, "predict", *arguments)
         assert not out.exists()
+
+
+def test_views_of_a_rig_are_rectified_on_the_way(
+    capsys: pytest.CaptureFixture[str], clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = Camera(80.0, 80.0, 47.0, 31.0, WIDTH, HEIGHT, (-0.2, 0.02, 0.0, 0.0))
+    rig = Rig(left, left, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (-0.1, 0.004, 0.0))
+    rig.write(tmp_path / "rig.json")
+    seen = []
+
+    class Network(Columns):
+        def forward(self, left: Any, right: Any) -> Any:
+            seen.append(left)
+            return super().forward(left, right)
+
+    predictor = Predictor(Network(), "cpu", rig=tmp_path / "rig.json")
+    monkeypatch.setattr(command, "load_predictor", lambda options: predictor)
+    out = tmp_path / "out"
+    options = ("--layout", "side-by-side", "--rig", tmp_path / "rig.json", "--depth", "--cloud", "--every", 4)
+    code, said, _ = run(capsys, "predict", clip, *options, "--out", out)
+    assert (code, "clip: 5 frames of 96 x 64 px" in said, "2 point clouds" in said) == (0, True, True)
+    rectification = rectify(rig)
+    expected, _ = rectification(picture(4), picture(54))
+    np.testing.assert_allclose(seen[-1][0].permute(1, 2, 0), expected, atol=1)
+    disparity = np.where(np.arange(WIDTH) < 40, 4.0, 8.0) * np.ones((HEIGHT, 1))
+    visible = rectification.seen(disparity)
+    assert 0 < np.count_nonzero(~visible) < visible.size / 2
+    found = list(read_disparity_video(out / "clip_disparity.mkv"))[4].values
+    np.testing.assert_array_equal(np.isfinite(found), visible)
+    metres = list(read_map_video(out / "clip_depth.mkv", "depth"))[4].values
+    wanted = rectification.calibration.depth(disparity)
+    np.testing.assert_allclose(metres[visible], wanted[visible], atol=0.0006)
+    rig.scaled(height=128, width=192).write(tmp_path / "rig.json", overwrite=True)
+    other = Predictor(Columns(), "cpu", rig=tmp_path / "rig.json")
+    monkeypatch.setattr(command, "load_predictor", lambda options: other)
+    code, _, said = run(capsys, "predict", clip, *options, "--out", tmp_path / "other")
+    assert (code, "96 x 64 pixels; the rig is for 192 x 128" in said) == (2, True)
+    assert list((tmp_path / "other").iterdir()) == []
 
 
 def test_a_calibration_of_another_size_leaves_nothing(

@@ -8,10 +8,15 @@ import urllib.request
 import numpy as np
 import pytest
 
+from stereokit import Predictor
 from stereokit.calibration import write_calibration
+from stereokit.cameras.rectification import rectify
+from stereokit.cameras.rig import Camera, Rig
+from stereokit.cli import view as command
 from stereokit.data import write_image
 from tests.cli.commands import fails, run
-from tests.viewer.scenes import CAMERA, save_pairs
+from tests.video.videos import write_video
+from tests.viewer.scenes import CAMERA, Columns, save_pairs
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +84,29 @@ def test_places_that_can_not_be_viewed(folder, capsys, tmp_path):
     result = folder / "results" / "a_disparity.npz"
     said = fails(capsys, "view", *pair(folder), "--disparity", result, "--calibration", tmp_path / "other.json")
     assert "160 x 96" in said
+
+
+def test_a_video_of_a_rig_is_rectified_and_has_metres(folder, tmp_path, monkeypatch, capsys):
+    camera = Camera(80.0, 80.0, 39.0, 23.0, 80, 48, (-0.2, 0.02, 0.0, 0.0))
+    rig = Rig(camera, camera, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (-0.1, 0.004, 0.0))
+    rig.write(tmp_path / "rig.json")
+    views = np.random.default_rng(0).integers(0, 256, (3, 48, 160, 3), np.uint8)
+    write_video(tmp_path / "run.mkv", views)
+    predictor, desks = Predictor(Columns(), "cpu", rig=tmp_path / "rig.json"), []
+    monkeypatch.setattr(command, "load_predictor", lambda options: predictor)
+    monkeypatch.setattr(command, "_serve", lambda desk, options: desks.append((desk, desk.next(1))))
+    code, _, _ = run(capsys, "view", tmp_path / "run.mkv", "--layout", "side-by-side", "--rig", tmp_path / "rig.json")
+    assert code == 0
+    [(desk, shot)] = desks
+    rectification = rectify(rig)
+    for found, expected in zip((shot.left, shot.right), rectification(views[1][:, :80], views[1][:, 80:]), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1)
+    assert desk.facts()["calibration"] == rectification.calibration.to_dict()
+    assert np.isnan(shot.result.disparity).any()
+    np.testing.assert_array_equal(
+        np.isfinite(shot.result.disparity),
+        rectification.seen(np.where(np.arange(80) < 40, 4.0, 8.0) * np.ones((48, 1))),
+    )
 
 
 def test_a_port_in_use_is_one_line(folder, capsys):

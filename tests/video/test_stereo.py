@@ -1,4 +1,8 @@
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -142,6 +146,57 @@ def test_an_address_that_nobody_answers_is_one_line_without_its_password() -> No
     with pytest.raises(InputError, match=r"'rtsp://127\.0\.0\.1:9/left' can't be opened") as caught:
         open_stereo_video("rtsp://me:secret@127.0.0.1:9/left", layout="side-by-side", stall_seconds=1)
     assert "secret" not in str(caught.value)
+
+
+@contextmanager
+def served(data: bytes, *, then: Event) -> Iterator[str]:
+    """The address of a server that sends these bytes to one client, and hangs up when told to."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def send() -> None:
+            client, _ = server.accept()
+            with client, suppress(ConnectionError):
+                client.sendall(data)
+                then.wait(60)
+
+        thread = Thread(target=send)
+        thread.start()
+        try:
+            yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        finally:
+            then.set()
+            thread.join()
+
+
+@pytest.fixture(scope="module")
+def transport_stream(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """What a network camera sends: a second of frames that hold both views."""
+    pairs = [np.concatenate([np.full((64, 96, 3), 10 * n, np.uint8)] * 2, 1) for n in range(25)]
+    folder = tmp_path_factory.mktemp("stream")
+    return write_video(folder / "a.ts", pairs, codec="mpeg2video", rate=25).read_bytes()
+
+
+def test_a_stream_of_the_network_is_read_until_its_end(transport_stream: bytes) -> None:
+    hang_up = Event()
+    with (
+        served(transport_stream, then=hang_up) as address,
+        open_stereo_video(address, layout="side-by-side", stall_seconds=30) as video,
+    ):
+        first = next(video)
+        assert (video.live, video.rate, first.left.shape) == (True, 25, (64, 96, 3))
+        hang_up.set()
+        numbers = [round(float(frame.left.mean()) / 10) for frame in [first, *video]]
+    # those that came while FFmpeg looked what it is are not kept
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] == 24
+
+
+def test_a_stream_of_the_network_that_stalls_is_one_line(transport_stream: bytes) -> None:
+    with served(transport_stream, then=Event()) as address:
+        frames, said = collected(open_stereo_video(address, layout="side-by-side", stall_seconds=1))
+    assert frames
+    assert "127.0.0.1" in said
+    assert "stalls" in said or "broke off" in said
 
 
 def live(*cameras: FakeCamera, layout: Any = None, stall_seconds: float = 30) -> StereoVideo:
