@@ -18,9 +18,11 @@ from stereokit.aggregation import (
     StackedHourglass,
     WithConfidence,
     WithOffsets,
+    WithPropagation,
     WithUpsampling,
 )
 from stereokit.backbones import (
+    AffinityPyramid,
     BottleneckPyramid,
     DeepAggregation,
     DeformableHourglass,
@@ -49,7 +51,15 @@ from stereokit.costs import (
     MatchingNetwork,
 )
 from stereokit.errors import CheckpointError, ConfigError, InputError, StereoKitError
-from stereokit.guidance import GCE, MSCA, AdditiveGuidance, NeighborhoodAggregation, ScalingGuidance, SemiGlobalGuidance
+from stereokit.guidance import (
+    GCE,
+    MSCA,
+    AdditiveGuidance,
+    AffinityGuidance,
+    NeighborhoodAggregation,
+    ScalingGuidance,
+    SemiGlobalGuidance,
+)
 from stereokit.inference import DisparityResult, Predictor
 from stereokit.losses import stereo_loss
 from stereokit.model import StereoModel
@@ -69,6 +79,7 @@ from stereokit.models import (
     casstereo_psm,
     cdn_psmnet,
     coex,
+    cspn,
     ganet_11,
     ganet_deep,
     gcnet,
@@ -126,6 +137,8 @@ __all__ = [
     "WEIGHTS",
     "AdaptiveAggregation",
     "AdditiveGuidance",
+    "AffinityGuidance",
+    "AffinityPyramid",
     "AttentionHourglass",
     "BilateralAggregation",
     "BottleneckPyramid",
@@ -192,6 +205,7 @@ __all__ = [
     "WarpedRefinement",
     "WithConfidence",
     "WithOffsets",
+    "WithPropagation",
     "WithUpsampling",
     "__version__",
     "aanet",
@@ -205,6 +219,7 @@ __all__ = [
     "casstereo_psm",
     "cdn_psmnet",
     "coex",
+    "cspn",
     "ganet_11",
     "ganet_deep",
     "gcnet",

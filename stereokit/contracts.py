@@ -294,8 +294,8 @@ class Aggregation(Protocol):
     loss_weights: tuple[float, ...]
     """Weight in the loss of each head, in their order."""
     volume_heads: tuple[str, ...]
-    """Submodules that turn volumes into logits (B, 1, D, h, w), by name: "with_offsets" gives them a second channel.
-    May be left out where there are none."""
+    """Submodules that turn volumes into logits (B, 1, D, h, w), by name: "with_offsets" puts others in their place,
+    which give twice the batch. May be left out where there are none."""
 
     def __call__(self, volume: Any, guides: Guides) -> tuple[Tensor | Head, ...]:
         """(B, in_channels, D, h, w) to one (B, D * upscale, h * upscale, w * upscale) per head, the best one last.

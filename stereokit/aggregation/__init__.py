@@ -17,6 +17,7 @@ from stereokit.aggregation.shortcut_hourglass import ShortcutHourglass
 from stereokit.aggregation.stacked_hourglass import StackedHourglass
 from stereokit.aggregation.with_confidence import ConfidenceNetwork, WithConfidence
 from stereokit.aggregation.with_offsets import WithOffsets
+from stereokit.aggregation.with_propagation import WithPropagation
 from stereokit.aggregation.with_upsampling import LearnedUpsampling, WithUpsampling, learned_upsample
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "StackedHourglass",
     "WithConfidence",
     "WithOffsets",
+    "WithPropagation",
     "WithUpsampling",
     "learned_upsample",
     "propagate_attention",

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from stereokit.aggregation.wrapper import Wrapper
 from stereokit.contracts import GuidanceFactory, GuidancePlacement, Guides, Head
-from stereokit.errors import ConfigError
 from stereokit.layers import init_convolutions
 from stereokit.registry import AGGREGATIONS
 
@@ -26,8 +25,8 @@ class TwinHead(nn.Module):
         init_convolutions(self.offsets)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, C, D, h, w) to (B, 2, D, h, w), the logits first."""
-        return torch.cat((self.logits(x), self.offsets(x)), dim=1)
+        """(B, C, D, h, w) to (2B, 1, D, h, w), the logits first: whatever the base does to logits, it does to both."""
+        return torch.cat((self.logits(x), self.offsets(x)))
 
 
 @AGGREGATIONS.register("with_offsets")
@@ -76,19 +75,9 @@ class WithOffsets(Wrapper):
             guidance=guidance,
             guidance_at=guidance_at,
         )
-        places: tuple[str, ...] = getattr(self.base, "volume_heads", ())
-        if not places:
-            raise ConfigError(
-                f"aggregation 'with_offsets' wants a base whose heads are 3D convolutions, but {self.base_name!r} has "
-                "none; use another base, such as 'stacked_hourglass'"
-            )
-        for place in places:
-            head = getattr(self.base, place)
-            twin = nn.ModuleList(map(TwinHead, head)) if isinstance(head, nn.ModuleList) else TwinHead(head)
-            setattr(self.base, place, twin)
+        self.replace_heads("with_offsets", TwinHead)
 
     def forward(self, volume: Tensor, guides: Guides) -> tuple[Head, ...]:
         """Volume and guides to logits and offsets."""
-        # the base leaves the two channels of its heads as they are
         heads = cast(tuple[Tensor, ...], self.base(volume, guides))
-        return tuple(Head(both[:, 0], both[:, 1]) for both in heads)
+        return tuple(Head(*both.chunk(2)) for both in heads)

@@ -1,11 +1,12 @@
 """An aggregation around another one."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from torch import nn
 
 from stereokit.contracts import Aggregation, GuidanceFactory, GuidancePlacement, Guides, Head
+from stereokit.errors import ConfigError
 from stereokit.registry import AGGREGATIONS
 
 __all__ = ["Wrapper"]
@@ -63,3 +64,23 @@ class Wrapper(nn.Module):
         """What the base says, each head with its own block; in eval mode there may be the last one alone."""
         heads = [head if isinstance(head, Head) else Head(head) for head in self.base(volume, guides)]
         return list(zip(heads, list(blocks)[-len(heads) :], strict=True))
+
+    def replace_heads(self, name: str, make: Callable[[nn.Module], nn.Module]) -> None:
+        """Puts something in the place of each module that turns a volume into logits.
+
+        Args:
+            name: of this aggregation, for the message.
+            make: what takes its place.
+
+        Raises:
+            ConfigError: the base has none.
+        """
+        places: tuple[str, ...] = getattr(self.base, "volume_heads", ())
+        if not places:
+            raise ConfigError(
+                f"aggregation {name!r} wants a base whose heads are 3D convolutions, but {self.base_name!r} has none; "
+                "use another base, such as 'stacked_hourglass'"
+            )
+        for place in places:
+            head = getattr(self.base, place)
+            setattr(self.base, place, nn.ModuleList(map(make, head)) if isinstance(head, nn.ModuleList) else make(head))

@@ -1,5 +1,6 @@
 """Images to matching features and guides."""
 
+from stereokit.backbones.affinity_pyramid import AffinityPyramid
 from stereokit.backbones.bottleneck_pyramid import BottleneckPyramid
 from stereokit.backbones.deep_aggregation import DeepAggregation
 from stereokit.backbones.deformable_hourglass import DeformableHourglass
@@ -17,6 +18,7 @@ from stereokit.backbones.top_down_pyramid import TopDownPyramid
 from stereokit.backbones.unet import UNet
 
 __all__ = [
+    "AffinityPyramid",
     "BottleneckPyramid",
     "DeepAggregation",
     "DeformableHourglass",

@@ -1,5 +1,6 @@
 """Ways in which image features guide the aggregation of a cost volume."""
 
+from stereokit.guidance.affinity import AffinityGuidance
 from stereokit.guidance.excitation import GCE, AdditiveGuidance, ScalingGuidance, excite
 from stereokit.guidance.multi_scale_attention import MSCA
 from stereokit.guidance.neighborhood import NeighborhoodAggregation, neighborhood_sum
@@ -10,6 +11,7 @@ __all__ = [
     "GCE",
     "MSCA",
     "AdditiveGuidance",
+    "AffinityGuidance",
     "GuidancePlan",
     "GuidancePoint",
     "NeighborhoodAggregation",

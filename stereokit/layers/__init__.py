@@ -1,6 +1,17 @@
 """Layers that blocks share."""
 
 from stereokit.layers.act_norm import ActNormResidual, conv_act_norm
+from stereokit.layers.affinity import (
+    AffinityCentre,
+    AffinityFusion,
+    AffinityPooling,
+    affinity_convolution,
+    affinity_fuse,
+    affinity_pool,
+    affinity_propagate,
+    affinity_weights,
+    check_affinity,
+)
 from stereokit.layers.bin_shift import bin_shift
 from stereokit.layers.bottleneck import Bottleneck
 from stereokit.layers.casting import as_float, at_least_float32
@@ -30,6 +41,9 @@ from stereokit.layers.warp import warp
 __all__ = [
     "ActNormResidual",
     "Activation",
+    "AffinityCentre",
+    "AffinityFusion",
+    "AffinityPooling",
     "Bottleneck",
     "CellNodes",
     "ConvGRU",
@@ -44,11 +58,17 @@ __all__ = [
     "SeparableBlock",
     "TwofoldHourglass",
     "UpStep",
+    "affinity_convolution",
+    "affinity_fuse",
+    "affinity_pool",
+    "affinity_propagate",
+    "affinity_weights",
     "as_float",
     "at_least_float32",
     "bilinear_upsample",
     "bin_shift",
     "cell_means",
+    "check_affinity",
     "conv_act_norm",
     "crop_to",
     "deformable_convolution",

@@ -7,6 +7,7 @@ from stereokit.models.casstereo import casstereo_gwc, casstereo_psm
 from stereokit.models.cdn import cdn_psmnet
 from stereokit.models.coex import coex
 from stereokit.models.crl import CRL
+from stereokit.models.cspn import cspn
 from stereokit.models.deeppruner import DeepPrunerBest, DeepPrunerFast
 from stereokit.models.dispnetc import DispNetC
 from stereokit.models.fast_acvnet import FastACVNet, FastACVNetPlus
@@ -49,6 +50,7 @@ __all__ = [
     "casstereo_psm",
     "cdn_psmnet",
     "coex",
+    "cspn",
     "ganet_11",
     "ganet_deep",
     "gcnet",

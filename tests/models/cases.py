@@ -273,6 +273,8 @@ CASES: dict[str, Case] = {
         ),
         loss="wasserstein",
     ),
+    # what the blocks give: the network was not released
+    "cspn": Case(parameters=5_175_992, golden="its authors did not release it", max_disparity=32),
     "leastereo": Case(
         parameters=1_724_912,
         golden=Golden(

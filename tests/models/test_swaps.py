@@ -152,6 +152,13 @@ SWAPS = [
     ("psmnet", {"aggregation": {"name": "with_upsampling", "base": "stacked_hourglass"}, "upsampler": "none"}),
     ("acfnet", {"aggregation": CDN | {"base": "stacked_hourglass"}, "upsampler": "trilinear", "loss": "wasserstein"}),
     ("cdn_psmnet", {"regression": "soft_argmin", "guidance": "gce", "loss": "stereo_focal"}),
+    ("coex", {"guidance": {"name": "affinity", "steps": 2}}),
+    ("coex", {"guidance": {"name": "affinity", "dims": 3, "steps": 1}, "guidance_at": "one"}),
+    ("psmnet", {"guidance": {"name": "affinity", "centre": "own"}, "guidance_at": "one"}),
+    ("coex", {"aggregation": {"name": "with_propagation", "base": "hourglass", "steps": 2}}),
+    ("gwcnet_g", {"aggregation": {"name": "with_propagation", "base": "gwc_hourglass", "steps": 2}}),
+    ("coex", {"backbone": "affinity_pyramid"}),
+    ("psmnet", {"backbone": "affinity_pyramid"}),
 ]
 
 
