@@ -1,5 +1,6 @@
 """Correlation over shifts to both sides, as channels of a map rather than as a volume."""
 
+import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -7,6 +8,9 @@ from stereokit.costs.shift import check_features, inner_products
 from stereokit.errors import ConfigError, InputError
 
 __all__ = ["SignedCorrelation", "signed_correlation"]
+
+FEW = 4
+"""The largest radius that is computed shift by shift."""
 
 
 def signed_correlation(left: Tensor, right: Tensor, radius: int) -> Tensor:
@@ -31,7 +35,6 @@ def signed_correlation(left: Tensor, right: Tensor, radius: int) -> Tensor:
     Source: Mayer et al., "A large dataset to train convolutional networks for disparity, optical flow, and scene flow
     estimation", CVPR 2016, section 5.
 
-    >>> import torch
     >>> signed_correlation(torch.ones(1, 2, 1, 3), torch.tensor([1.0, 2.0, 3.0]).expand(1, 2, 1, 3), 1)[0, :, 0]
     tensor([[0., 1., 2.],
             [1., 2., 3.],
@@ -40,6 +43,12 @@ def signed_correlation(left: Tensor, right: Tensor, radius: int) -> Tensor:
     check_features(left, right, 1)
     if radius < 0:
         raise InputError(f"radius={radius} of a correlation has to be 0 or more")
+    if radius <= FEW:
+        # shift by shift: no tiles, whose number torch.export can't reason about at the coarsest scales
+        width = right.shape[-1]
+        padded, scaled = F.pad(right, (radius, radius)), left / left.shape[1]
+        shifted = (padded[..., k : k + width] for k in range(2 * radius + 1))
+        return torch.stack([(scaled * other).sum(1) for other in shifted], dim=1)
     # of shifts from -R to R all are to one side, once the right map begins R pixels earlier; and divided first, for
     # sums of products overflow in half precision
     ahead, behind = F.pad(left / left.shape[1], (radius, 0)), F.pad(right, (0, radius))
@@ -57,7 +66,6 @@ class SignedCorrelation(nn.Module):
     Raises:
         ConfigError: a negative radius.
 
-    >>> import torch
     >>> SignedCorrelation(radius=40)(*torch.rand(2, 1, 8, 4, 16)).shape
     torch.Size([1, 81, 4, 16])
     """
