@@ -201,6 +201,7 @@ print(len(names), "modules")
 """
 
 
+@pytest.mark.slow
 def test_every_module_can_be_the_first_that_is_imported_after_the_package():
     """None depends on others having been imported before: that would fail for some users and for no test."""
     # walking the packages imports them in the order of the alphabet, which this undoes
