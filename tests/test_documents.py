@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
 from stereokit import list_components, list_models
 from stereokit.training import list_recipes
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ROOT = Path(__file__).parents[1]
 SLOTS = (
@@ -41,6 +47,13 @@ def rows(document: str, heading: str) -> dict[str, str]:
 
 def test_every_network_has_a_row():
     assert set(rows("docs/networks.md", "network")) == set(list_models())
+
+
+def test_every_network_has_the_figures_of_its_paper():
+    figures = tomllib.loads((ROOT / "benchmarks" / "networks.toml").read_text(encoding="utf-8"))
+    assert set(figures) == set(list_models())
+    known = {"paper", "licence", "epe", "kitti2012", "kitti2015", "runtime", "remark"}
+    assert all("paper" in row and set(row) <= known for row in figures.values())
 
 
 def test_every_recipe_has_a_row():
