@@ -1,3 +1,4 @@
+import logging
 import sys
 from pathlib import Path
 
@@ -31,6 +32,27 @@ def test_live_tensors_are_counted_and_dead_ones_are_not() -> None:
     # .float() of a float makes no copy
     assert floats == int((4 * images + 2 * one) * HELD_BY_ALLOCATOR)
     assert estimate_memory(Doubling(), 40, 50, batch=3) == pytest.approx(3 * estimate_memory(Doubling(), 40, 50), abs=2)
+
+
+class Refusing(nn.Module):
+    """PyTorch has no mean of whole numbers."""
+
+    def forward(self, left: Tensor, right: Tensor) -> StereoOutput:
+        return StereoOutput((left - right).mean(1))
+
+
+def test_a_network_that_fails_is_one_error_and_no_traceback() -> None:
+    log, printed = logging.getLogger("torch._subclasses.fake_tensor"), []
+    handler = logging.Handler()
+    handler.emit = printed.append  # type: ignore[method-assign,assignment]
+    log.addHandler(handler)
+    try:
+        with pytest.raises(ConfigError, match="memory that Refusing needs can't be found out without running it: mean"):
+            estimate_memory(Refusing(), 40, 50)
+    finally:
+        log.removeHandler(handler)
+    assert printed == []
+    assert not log.disabled
 
 
 @pytest.mark.parametrize("name", ["coex", "psmnet", "gcnet"])

@@ -1,8 +1,10 @@
 """How much memory a pass through a network takes."""
 
 import copy
+import logging
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -56,7 +58,7 @@ def estimate_memory(
         # a copy, for other threads may be running the network
         twin = copy.deepcopy(model, {id(tensor): fake.from_tensor(tensor) for tensor in weights})
         # convolutions are counted as one operation, which inference mode would show in other ones
-        with torch.inference_mode(False), fake, torch.no_grad(), _LiveBytes() as memory:
+        with _quiet(), torch.inference_mode(False), fake, torch.no_grad(), _LiveBytes() as memory:
             left, right = (torch.empty(batch, 3, height, width, dtype=dtype, device=where) for _ in range(2))
             twin(left, right)
     except Exception as error:
@@ -66,6 +68,17 @@ def estimate_memory(
             f"the memory that {type(model).__name__} needs can't be found out without running it: {reason}"
         ) from error
     return int(memory.peak * HELD_BY_ALLOCATOR)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the traceback that PyTorch prints of an operation that fails, whose error says it too."""
+    log = logging.getLogger("torch._subclasses.fake_tensor")
+    before, log.disabled = log.disabled, True
+    try:
+        yield
+    finally:
+        log.disabled = before
 
 
 class _LiveBytes(TorchDispatchMode):  # type: ignore[no-untyped-call]
