@@ -1,5 +1,6 @@
 """Damage inside of what holds the data, so that readers get past the container."""
 
+import copy
 import io
 import json
 import random
@@ -66,20 +67,23 @@ def _changed(document: Any, rng: random.Random) -> Any:
     """The document with one change at some place of it."""
     inside = isinstance(document, dict | list) and len(document) > 0
     if not inside or rng.random() < 0.1:
-        return rng.choice(_ODD)
+        return copy.deepcopy(rng.choice(_ODD))
     key = rng.choice(list(document) if isinstance(document, dict) else range(len(document)))
     ways: list[Callable[[], Any]] = [
         lambda: document.__setitem__(key, _changed(document[key], rng)),
         lambda: document.__setitem__(key, _changed(document[key], rng)),
-        lambda: document.__setitem__(key, rng.choice(_ODD)),
+        # copies, since what is put in may be changed in turn
+        lambda: document.__setitem__(key, copy.deepcopy(rng.choice(_ODD))),
         lambda: document.__setitem__(
-            key, rng.choice(list(document.values() if isinstance(document, dict) else document))
+            key, copy.deepcopy(rng.choice(list(document.values() if isinstance(document, dict) else document)))
         ),
         lambda: document.pop(key),
     ]
     if isinstance(document, dict):
         ways.append(
-            lambda: document.__setitem__(rng.choice([f"{key}_", "pretrained", "y" * 500, "instance"]), document[key])
+            lambda: document.__setitem__(
+                rng.choice([f"{key}_", "pretrained", "y" * 500, "instance"]), copy.deepcopy(document[key])
+            )
         )
     rng.choice(ways)()
     return document

@@ -39,6 +39,13 @@ def test_damaged_files_of_the_library():
         assert outcome.refused > 0
 
 
+def test_the_same_number_is_the_same_damage():
+    kind = KINDS["config"]
+    seeds = kind.seeds()
+    before = [kind.input(seeds, number) for number in range(300)]
+    assert [kind.input(seeds, number) for number in reversed(range(300))] == before[::-1]
+
+
 @pytest.mark.slow
 def test_commands_on_damaged_files():
     outcomes = fuzz(quick(COMMANDS))
