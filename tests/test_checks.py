@@ -50,7 +50,8 @@ def blocks(**changes):
 
 def check(chosen, refinements=(), *, stride=4, max_disparity=64):
     """Holds a network of one stage to its contracts."""
-    stage = SimpleNamespace(stride=stride, **{slot: given for slot, given in chosen.items() if slot != "backbone"})
+    given = {slot: block for slot, block in chosen.items() if slot != "backbone"}
+    stage = SimpleNamespace(stride=stride, coarser_costs=[], **given)
     check_network(backbone=chosen["backbone"], stages=[stage], refinements=refinements, max_disparity=max_disparity)
 
 
@@ -158,7 +159,7 @@ def test_refinements_go_on_from_where_the_upsampler_ends():
     ("changes", "refinements", "words"),
     [
         ({}, [refinement(2)], ["refinement Brush", "stride 2", "stride 1"]),
-        ({"upsampler__scale": 1}, [refinement(3)], ["refinement Brush", "stride 3", "stride 4"]),
+        ({"upsampler__scale": 1}, [refinement(3)], ["refinement Brush", "ends at stride 3"]),
         ({"upsampler__scale": 1}, [refinement(2)], ["refinement Brush", "ends at stride 2"]),
         ({"upsampler__scale": 2}, [], ["aggregation Sum", "upsampler Lens", "4", "2"]),
         ({}, [refinement(1, s2=9)], ["backbone Eyes", "refinement Brush", "stride 2", "8", "9"]),

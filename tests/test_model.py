@@ -29,7 +29,7 @@ from stereokit.upsampling.interpolation import BilinearUpsampler, TrilinearUpsam
 D = 64
 
 # further networks are held to `tests/models/cases.py`
-every_model = pytest.mark.parametrize("name", ["coex", "psmnet", "gcnet"])
+every_model = pytest.mark.parametrize("name", ["coex", "psmnet", pytest.param("gcnet", marks=pytest.mark.slow)])
 
 
 def pair(height, width, *, batch=1, dtype=torch.float32):

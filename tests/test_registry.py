@@ -244,6 +244,7 @@ def test_a_plugin_that_takes_a_name_is_a_warning(plugins):
     assert COSTS.get("correlation").__name__ == "CorrelationVolume"
 
 
+@pytest.mark.slow
 def test_an_installed_package_adds_a_component(tmp_path):
     (tmp_path / "elsewhere.py").write_text(
         "from stereokit.costs import CorrelationVolume\n"

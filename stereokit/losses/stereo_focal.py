@@ -189,5 +189,9 @@ class StereoFocal:
         seen = regressed_from(prediction, "stereo_focal")
         scale: Tensor | float = self.scale
         if seen.certainty is not None:
-            scale = self.narrowest + (self.widest - self.narrowest) * (-at_least_float32(seen.certainty)).sigmoid()
+            known = valid_pixels(truth_of_cells(truth, seen.stride), max_disparity=max_disparity)
+            rows, columns = known.shape[1:]
+            # what is said of unknown cells must not reach the gradient, not even as 0 * nan
+            certainty = torch.where(known, at_least_float32(seen.certainty)[:, :rows, :columns], 0)
+            scale = self.narrowest + (self.widest - self.narrowest) * (-certainty).sigmoid()
         return stereo_focal_loss(seen, truth, scale=scale, focus=self.focus, max_disparity=max_disparity)

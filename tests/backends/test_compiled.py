@@ -54,6 +54,7 @@ def test_kinds_of_sizes_do_not_end_in_uncompiled_runs(monkeypatch):
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_one_channel_is_convolved_at_any_size():
     plain = nn.Conv3d(1, 8, 3, padding=1)
     compiled = torch.compile(FusedConvolution(plain), dynamic=True)

@@ -95,6 +95,7 @@ def test_fisheye_cameras_that_make_no_sense_are_refused():
         calibrate_rig(wild, SIZE, model="fisheye")
 
 
+@pytest.mark.slow
 def test_what_is_no_rig_is_refused():
     good = views(example_rig())
     swapped = [replace(view, left=view.right, right=view.left) for view in good]

@@ -106,6 +106,7 @@ def saying(path, text, folder):
     return folder / "other.onnx"
 
 
+@pytest.mark.slow
 def test_pairs_are_held_to_limits_of_memory(exported, tmp_path):
     config = dict(build_model("coex", max_disparity=32).config)
     path = saying(exported.path, dataclasses.replace(exported.metadata, network=config).to_json(), tmp_path)

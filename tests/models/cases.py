@@ -222,7 +222,7 @@ STEREONET = {
 ALL_CANDIDATES = 96
 """Of Fast-ACVNet: where levels tie for the last place among its candidates, rounding moves all of a random network."""
 
-QUICK = ("coex", "psmnet", "gcnet", "gwcnet_g", "stereonet_8x", "lightstereo_s", "dispnetc", "rt_igev")
+QUICK = ("coex", "psmnet", "gwcnet_g", "stereonet_8x", "lightstereo_s", "dispnetc", "rt_igev")
 """One of each kind. The quick run builds and calls every network once, and goes on with these alone."""
 
 CASES: dict[str, Case] = {

@@ -131,7 +131,7 @@ SWAPS = [
     ("psmnet", {"loss": {"name": "wasserstein", "neighbors": 0.2}}),
     ("coex", {"backbone": {"name": "deep_aggregation", "channels": [4, 4, 6, 6, 8, 8, 8], "finest": 4}}),
     ("psmnet", {"backbone": {"name": "deep_aggregation", "channels": [4, 4, 6, 6, 8, 8, 8], "finest": 4}}),
-    ("coex", {"loss": "density"}),
+    ("coex", {"loss": "density", "upsampler": "bilinear"}),
     ("psmnet", {"loss": "density"}),
     ("coex", {"regression": "most_probable_pair"}),
     ("psmnet", {"regression": "most_probable_pair"}),

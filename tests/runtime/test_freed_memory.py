@@ -19,6 +19,7 @@ print(sum(pages() for _ in range(5)))
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="settings of the GNU C library")
+@pytest.mark.slow
 def test_freed_memory_is_used_again():
     def faults(line):
         result = subprocess.run([sys.executable, "-c", CODE.format(line)], capture_output=True, text=True, check=True)

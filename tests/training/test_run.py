@@ -125,6 +125,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_killed_run_resumes_to_the_result_of_an_unbroken_one(tmp_path):
     often = {"machine": on_cpu(checkpoint_every=1, validate_every=4)}
     unbroken = train(TINY, tmp_path / "unbroken", **often)
@@ -572,6 +573,7 @@ def test_a_broken_file_is_one_line_and_the_folder_stays_free(tmp_path, resume):
     assert "ended_by" not in json.loads((tmp_path / "run" / "run.json").read_text())
 
 
+@pytest.mark.slow
 def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
     data = rendered_pairs(tmp_path, 3)
     start = build_model("coex", max_disparity=32)
@@ -690,6 +692,7 @@ def gradients(path, processes):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
+@pytest.mark.slow
 def test_two_processes_have_the_gradient_of_one_with_the_joint_batch(tmp_path):
     alone = gradients(tmp_path / "1.pt", 1)
     # in a process that has not computed a gradient yet, whose threads a fork would lose

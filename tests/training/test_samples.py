@@ -90,6 +90,7 @@ def test_the_processes_shares_make_up_the_joint_batch(share, processes, resumed_
 
 
 @pytest.mark.parametrize("workers", [0, 1])
+@pytest.mark.slow
 def test_a_resumed_loader_goes_on_behind_what_it_gave(workers):
     samples = TrainingSamples([list(pairs(30))], CROP, seed=0)
     whole = [grey(batch) for batch in ResumableLoader(samples, batch=4, steps=6, workers=workers)]

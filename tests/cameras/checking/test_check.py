@@ -114,6 +114,12 @@ def test_a_vertical_rig(index):
     assert names(check)[0] == "vertical_rig", str(check)
     # points of the left view lie lower by the disparity, so its camera stands higher
     assert "the left view's above" in check.findings[0].message
+
+
+# of the other scene so few points lie apart that its views, swapped, look shifted as a whole
+@pytest.mark.parametrize("index", [index for index in GOOD if index != 4])
+def test_a_vertical_rig_with_its_views_swapped(index):
+    left, right = (np.ascontiguousarray(view.transpose(1, 0, 2)) for view in pair(index))
     assert "the right view's above" in check_pair(right, left).findings[0].message
 
 
