@@ -30,6 +30,7 @@ def test_networks_sizes_and_rivals_in_one_table(capsys: pytest.CaptureFixture[st
     assert (tmp_path / "b.svg").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_iterations_are_rows(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     size = ("--size", 32, 64, "--max-disparity", 64, "--repeats", 1, "--warmup", 1, "--device", "cpu")
     networks = ("rt_igev", "coex")

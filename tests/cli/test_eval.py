@@ -48,6 +48,7 @@ def test_a_network_on_several_data_sets(capsys: pytest.CaptureFixture[str], here
     assert all(f"{value:.2f}" in said for value in epe)
 
 
+@pytest.mark.slow
 def test_large_pairs_are_matched_as_predict_does(capsys: pytest.CaptureFixture[str], here: Path, weights: str) -> None:
     options = ("--weights", weights, "--device", "cpu", "--data", "folder:mine")
     code, _, shown = run(capsys, "eval", *options, "--max-memory", "1MB")

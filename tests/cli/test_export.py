@@ -47,6 +47,7 @@ def fails(capsys, *arguments):
     return captured.err
 
 
+@pytest.mark.slow
 def test_predict_gives_the_same_through_the_file(weights, exported, images, tmp_path, capsys):
     maps = []
     for i, place in enumerate((weights, exported)):

@@ -73,6 +73,7 @@ def test_predict_without_weights_takes_those_of_the_library(capsys: pytest.Captu
     assert "50 x 40 px" in said
 
 
+@pytest.mark.slow
 def test_the_name_of_a_network_stands_for_its_weights(
     capsys: pytest.CaptureFixture[str], images: Path, weights: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

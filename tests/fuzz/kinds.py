@@ -48,7 +48,7 @@ class Kind:
     beside: Callable[[], dict[str, bytes]] = dict
     repair: Callable[[bytes], bytes] | None = None
     damage: Callable[[list[bytes], str, int], bytes] = mutated
-    quick: int = 200
+    quick: int = 120
     long: int = 1
 
     def input(self, seeds: list[bytes], number: int) -> bytes:

@@ -115,6 +115,7 @@ def test_memory_that_runs_out_is_one_line(error: RuntimeError, limits: dict[str,
         Predictor(Greedy(), "cpu", **limits)(left, right)
 
 
+@pytest.mark.slow
 def test_what_is_prepared_once_is_timed_apart_from_tiles_too() -> None:
     model = build_model("coex", max_disparity=32).eval()
     left, right = np.random.default_rng(0).random((2, 128, 512, 3))
@@ -270,6 +271,7 @@ def test_the_pilot_matches_a_real_pair() -> None:
     assert 100 * (error > 3).mean() == pytest.approx(6.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_pair_that_memory_can_not_hold_is_refused_or_cut_before_it_starts() -> None:
     model = build_model("coex", max_disparity=32).eval()
     left, right = np.random.default_rng(0).random((2, 320, 700, 3))

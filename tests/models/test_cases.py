@@ -80,7 +80,7 @@ def test_its_configuration_is_plain_and_rebuilds_it(name):
     assert {k: v.shape for k, v in again.state_dict().items()} == {k: v.shape for k, v in model.state_dict().items()}
 
 
-@every_network
+@every_network_in_time
 def test_odd_sizes_are_padded_and_cut(name):
     case, model = CASES[name], small(name).eval()
     less = (0, 0) if min(case.size) == model.least_size else (9, 17)

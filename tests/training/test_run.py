@@ -214,6 +214,7 @@ def test_a_run_that_is_killed_in_a_validation_repeats_it(tmp_path, monkeypatch):
         torch.testing.assert_close(resumed.model.state_dict()[key], value, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_checkpoint_that_can_not_be_written_leaves_the_one_before(tmp_path, monkeypatch):
     save = Trainer.save_checkpoint
 
@@ -397,6 +398,7 @@ def test_only_the_run_that_is_there_is_resumed(tmp_path):
         train(TINY, run, resume=True, machine=CPU)
 
 
+@pytest.mark.slow
 def test_a_run_from_before_a_setting_existed_is_resumed(tmp_path):
     train(with_length(TINY, steps=1), tmp_path, machine=CPU)
     record = json.loads((tmp_path / "run.json").read_text())
@@ -505,6 +507,7 @@ def test_other_optimisers_and_schedules_run_and_resume(tmp_path, schedule, optim
     assert train(with_length(recipe, steps=2), tmp_path, resume=True, machine=CPU).record["steps"] == 2
 
 
+@pytest.mark.slow
 def test_the_best_network_is_kept(tmp_path, monkeypatch):
     found = iter([30.0, 10.0, 20.0])
     ends = StereoTraining.on_validation_epoch_end
@@ -593,6 +596,7 @@ def test_training_from_files_goes_on_from_weights(tmp_path, capsys):
         torch.testing.assert_close(trained.get_parameter(key), value, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_several_validation_sets_have_a_mean(tmp_path, capsys):
     data = rendered_pairs(tmp_path, 2)
     recipe = tmp_path / "mine.toml"

@@ -182,6 +182,7 @@ def test_a_release_tells_what_its_training_began_with(registered, tmp_path):
         release(tmp_path / "network", "coex.other", tmp_path / "other", results={})
 
 
+@pytest.mark.slow
 def test_a_release_may_be_the_mean_with_other_weights(registered, tmp_path):
     torch.manual_seed(1)
     network = build_model("coex", max_disparity=64, top_k=3)
@@ -208,6 +209,7 @@ def test_a_release_may_be_the_mean_with_other_weights(registered, tmp_path):
         release(tmp_path / "network", "coex.mean", tmp_path / "other", results={}, mean_with=["coex.mine"])
 
 
+@pytest.mark.slow
 def test_a_training_may_have_begun_with_a_release_that_has_no_name_here(tmp_path):
     torch.manual_seed(2)
     first, second = (build_model("coex", max_disparity=64) for _ in range(2))
