@@ -24,6 +24,7 @@ from stereokit.bench.summary import model_summary
 from stereokit.errors import InputError
 from stereokit.files import atomic_path
 from stereokit.runtime.memory import format_memory
+from stereokit.tables import counted
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -132,9 +133,11 @@ def _write(rows: list[dict[str, str]], run: dict[str, Any]) -> None:
         *("| " + " | ".join(row.get(column, "") for column in COLUMNS) + " |" for row in rows),
         "",
         f"Times and memory: {first['height']} x {first['width']} px, {first['precision']}, median of "
-        f"{run['settings']['repeats']} runs in turns, {machine['torch_threads']} threads of {machine['processor']}, "
-        f"torch {run['versions']['torch']}.",
+        f"{counted(run['settings']['repeats'], 'run')} in turns, {machine['torch_threads']} threads of "
+        f"{machine['processor']}, torch {run['versions']['torch']}.",
     ]
+    if not all("here [ms]" in row for row in rows):
+        lines.append("Networks without a time were not in that run.")
     text = DOCUMENT.read_text(encoding="utf-8")
     if not PLACE.search(text):
         raise InputError(f"{DOCUMENT} has no place for the table, from <!-- networks --> to <!-- end of networks -->")
