@@ -46,22 +46,25 @@ class CheckpointError(StereoKitError, ValueError):
     """Weights that can't be loaded: truncated, of another network, or a pickle that would run code."""
 
 
-def printable(name: str | bytes | os.PathLike[str], most: int = 120) -> str:
-    """A file's name, or other words of a user's, as messages show them: quoted, on one line, not too long.
+def printable(name: str | bytes | os.PathLike[str], most: int = 120, *, quoted: bool = True) -> str:
+    """A file's name, or other words of a user's, as messages show them: on one line, not too long.
 
     What can't be printed is escaped: control characters, and the bytes of a name that is not UTF-8.
 
     Args:
         name: a path or any text.
-        most: characters. Of a longer name the middle is left out.
+        most: characters, quotes included. Of a longer name the middle is left out.
+        quoted: put it in quotes; tables and lists do without.
 
     >>> printable("left.png"), printable("new" + chr(10) + "line")
     ("'left.png'", "'new\\\\nline'")
+    >>> printable("left.png", quoted=False)
+    'left.png'
     >>> printable("a/" + "very/" * 100 + "long.png", most=40)
     "'a/very/very/very/...ry/very/long.png'"
     """
     text = repr(os.fspath(name))
-    if len(text) <= most:
-        return text
-    kept = (most - 3) // 2
-    return f"{text[:kept]}...{text[-kept:]}"
+    if len(text) > most:
+        kept = (most - 3) // 2
+        text = f"{text[:kept]}...{text[-kept:]}"
+    return text if quoted else text[1:-1]

@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> None:
         *([report.save(evaluation)] if report else []),
     ]
     log.finish()
-    print(f"wrote {', '.join(printable(path)[1:-1] for path in written)}")
+    print(f"wrote {', '.join(printable(path, quoted=False) for path in written)}")
     if options.submission is not None:
         print(f"wrote {len(evaluation.datasets[0].pairs)} disparity maps into {options.submission}; zip its content")
 

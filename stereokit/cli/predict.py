@@ -205,7 +205,7 @@ def _say(
 
 def _shown(name: str | Path) -> str:
     """A name as a terminal shows it, whatever its characters."""
-    return printable(name, most=1000)[1:-1]
+    return printable(name, most=1000, quoted=False)
 
 
 def _totals(summary: Summary, options: argparse.Namespace) -> str:

@@ -58,7 +58,7 @@ def match_pairs(left: str | os.PathLike[str], right: str | os.PathLike[str]) -> 
     lefts, rights = find_images(left), find_images(right)
     alone = [path for a, b in ((lefts, rights), (rights, lefts)) for key, path in a.items() if key not in b]
     if alone:
-        shown = ", ".join(printable(path, most=60)[1:-1] for path in alone[:4])
+        shown = ", ".join(printable(path, most=60, quoted=False) for path in alone[:4])
         shown += f" and {len(alone) - 4} more" if len(alone) > 4 else ""
         raise InputError(
             f"{counted(len(alone), 'image')} without a partner of the same name on the other side: {shown}"

@@ -195,7 +195,7 @@ def _cell(value: Any) -> Any:
     """A value as a cell: text that is printable, and that a spreadsheet takes for no formula."""
     if not isinstance(value, str):
         return value
-    text = printable(value, most=1000)[1:-1]
+    text = printable(value, most=1000, quoted=False)
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 

@@ -37,7 +37,7 @@ def pair_table(pairs: Sequence[PairResult], taus: Sequence[float]) -> Table:
     measures = _measures(taus)
     rows = tuple(
         (
-            printable(pair.name)[1:-1],
+            printable(pair.name, quoted=False),
             f"{pair.width} x {pair.height}",
             *(_number(pair.metrics[name]) if pair.metrics else "" for name in measures),
             f"{pair.metrics['pixels']:,}" if pair.metrics else "no ground truth",
@@ -87,7 +87,7 @@ def benchmark_line(result: DatasetResult) -> str:
 
 def format_dataset(result: DatasetResult, taus: Sequence[float]) -> str:
     """A data set's heading, table and notes, as lines of text."""
-    name, pairs = printable(result.name)[1:-1], counted(len(result.pairs), "pair")
+    name, pairs = printable(result.name, quoted=False), counted(len(result.pairs), "pair")
     heading = f"{name}: split {result.split}, {pairs}, median {result.median_seconds:.3f} s per pair"
     table = str(dataset_table(result, taus))
     return "\n".join([heading, *(f"  {line}" for line in [*table.splitlines(), *notes(result)])])

@@ -145,7 +145,7 @@ def format_report(report: DatasetReport, *, most: int = 20) -> str:
     if report.lowest is not None and report.highest is not None:
         lines.append(f"  disparity         {report.lowest:.2f} to {report.highest:.2f} pixels")
     if report.density is not None and report.sparsest is not None:
-        name, density = printable(report.sparsest[0])[1:-1], report.sparsest[1]
+        name, density = printable(report.sparsest[0], quoted=False), report.sparsest[1]
         lines.append(f"  known disparity   {report.density:.1%} of the pixels; least in {name} ({density:.1%})")
     for rule, pixels in report.dropped.items():
         part = share(pixels, report.known_pixels + report.dropped.total())
@@ -156,14 +156,14 @@ def format_report(report: DatasetReport, *, most: int = 20) -> str:
         f"  warning           {text} ({counted(count, 'pair')})" for text, count in report.warnings.most_common(most)
     ]
     lines.append(f"  broken            {len(report.broken)}")
-    lines += [f"    {printable(name)[1:-1]}: {message}" for name, message in report.broken[:most]]
+    lines += [f"    {printable(name, quoted=False)}: {message}" for name, message in report.broken[:most]]
     if len(report.broken) > most:
         lines.append(f"    and {len(report.broken) - most} more")
     if report.passed_over:
-        names = _shortened([printable(name)[1:-1] for name in report.passed_over], most)
+        names = _shortened([printable(name, quoted=False) for name in report.passed_over], most)
         lines.append(f"  passed over       {names}: no files of the kind")
     if report.unused_truth:
-        names = _shortened([printable(name)[1:-1] for name in report.unused_truth], most)
+        names = _shortened([printable(name, quoted=False) for name in report.unused_truth], most)
         lines.append(f"  not read          {names}: looks like ground truth, but is not named as the kind's")
     return "\n".join(lines)
 

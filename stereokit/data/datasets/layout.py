@@ -144,6 +144,6 @@ def _describe(root: Path) -> str:
         return "nothing, it does not exist"
     if not root.is_dir():
         return "a file"
-    names = [printable(path.name, most=40)[1:-1] + "/" * path.is_dir() for path in list_folder(root)]
+    names = [printable(path.name, most=40, quoted=False) + "/" * path.is_dir() for path in list_folder(root)]
     names, left_out = names[:6], len(names[6:])
     return ", ".join(names) + (f" and {left_out} more" if left_out else "") if names else "an empty folder"
