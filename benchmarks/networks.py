@@ -63,7 +63,11 @@ def main() -> int:
     options = parser.parse_args()
     try:
         published = _published()
-        run = _measured(options) if options.bench is None else json.loads(options.bench.read_text(encoding="utf-8"))
+        run = (
+            _measured(options, list(published))
+            if options.bench is None
+            else json.loads(options.bench.read_text(encoding="utf-8"))
+        )
         times = {row["name"]: row for row in run["rows"]}
         rows = [_row(name, facts, times.get(name), times.get("coex")) for name, facts in published.items()]
         _write(rows, run)
@@ -85,9 +89,9 @@ def _published() -> dict[str, dict[str, Any]]:
     return facts
 
 
-def _measured(options: argparse.Namespace) -> dict[str, Any]:
+def _measured(options: argparse.Namespace, names: list[str]) -> dict[str, Any]:
     height, width = options.size
-    candidates = [Candidate(name, source_of(name), height=height, width=width) for name in _published()]
+    candidates = [Candidate(name, source_of(name), height=height, width=width) for name in names]
     found = run_benchmark(
         candidates, repeats=options.repeats, warmup=1, command="python benchmarks/networks.py", progress=tqdm
     )

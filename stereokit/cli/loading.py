@@ -9,7 +9,6 @@ from stereokit.weights.opening import (
     ExportedFile,
     NetworkPlace,
     find_network,
-    load_network,
     open_network,
     set_iterations,
     trained_network,
@@ -44,9 +43,8 @@ def load_chosen_network(options: argparse.Namespace) -> "StereoNetwork":
     """
     place = find_chosen_network(options)
     place.check_module()
-    settings = _settings(options, place)
-    opened = _open_published(options, place, settings) if place.kind == "published" else load_network(place, **settings)
-    _set_iterations(opened, options)
+    opened = _open(options, place)
+    assert not isinstance(opened, ExportedFile)
     return opened
 
 
@@ -56,10 +54,7 @@ def load_predictor(options: argparse.Namespace, *, bit_depth: int | None = None)
     Raises:
         StereoKitError: see `open_network` and `Predictor`.
     """
-    place = find_chosen_network(options)
-    given = _settings(options, place)
-    opened = _open_published(options, place, given) if place.kind == "published" else open_network(place, **given)
-    _set_iterations(opened, options)
+    opened = _open(options, find_chosen_network(options))
     settings = {name: value for name in PREDICTOR_SETTINGS if (value := getattr(options, name, None)) is not None}
     return Predictor(opened, options.device, options.backend, bit_depth=bit_depth, **settings)
 
@@ -73,17 +68,15 @@ def check_published_options(options: argparse.Namespace) -> None:
         )
 
 
-def _settings(options: argparse.Namespace, place: NetworkPlace) -> dict[str, Any]:
-    """The arguments of `open_network`."""
+def _open(options: argparse.Namespace, place: NetworkPlace) -> "StereoNetwork | ExportedFile":
+    """What lies at a place, as the options for networks say."""
     place.check_published_options(channel_order=options.channel_order, top_k=options.top_k)
     overrides = {} if options.top_k is None else {"top_k": options.top_k}
-    return {"network": options.model, "channel_order": options.channel_order, **overrides}
-
-
-def _set_iterations(opened: "StereoNetwork | ExportedFile", options: argparse.Namespace) -> None:
-    """Raises `ConfigError` for a network that has none, or whose file holds those that it was exported with."""
+    settings = {"network": options.model, "channel_order": options.channel_order, **overrides}
+    opened = _open_published(options, place, settings) if place.kind == "published" else open_network(place, **settings)
     if (count := getattr(options, "iterations", None)) is not None:
         set_iterations(opened, count)
+    return opened
 
 
 def _open_published(options: argparse.Namespace, place: NetworkPlace, settings: dict[str, Any]) -> "StereoNetwork":

@@ -1,11 +1,11 @@
 """Correlation around a disparity that is known from a coarser scale."""
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from stereokit.costs.shift import check_features
-from stereokit.costs.signed_correlation import signed_correlation
-from stereokit.errors import ConfigError, InputError
+from stereokit.costs.signed_correlation import SignedCorrelation, signed_correlation
+from stereokit.errors import InputError
 from stereokit.layers import warp
 
 __all__ = ["WarpedCorrelation", "warped_correlation"]
@@ -56,7 +56,7 @@ def warped_correlation(left: Tensor, right: Tensor, disparity: Tensor, radius: i
     return signed_correlation(left, warped, radius)
 
 
-class WarpedCorrelation(nn.Module):
+class WarpedCorrelation(SignedCorrelation):
     """`warped_correlation` as a module.
 
     Args:
@@ -71,19 +71,8 @@ class WarpedCorrelation(nn.Module):
     torch.Size([1, 9, 4, 16])
     """
 
-    def __init__(self, *, radius: int) -> None:
-        super().__init__()
-        if radius < 0:
-            raise ConfigError(f"radius={radius} of a correlation has to be 0 or more")
-        self.radius = radius
-        self.out_channels = 2 * radius + 1
-
-    def forward(self, left: Tensor, right: Tensor, disparity: Tensor | None) -> Tensor:
+    def forward(self, left: Tensor, right: Tensor, disparity: Tensor | None = None) -> Tensor:
         """Left and right features, and a disparity, to a map."""
         if disparity is None:
-            return signed_correlation(left, right, self.radius)
+            return super().forward(left, right)
         return warped_correlation(left, right, disparity, self.radius)
-
-    def extra_repr(self) -> str:
-        """The radius, for printing."""
-        return f"radius={self.radius}"

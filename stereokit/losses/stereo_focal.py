@@ -80,7 +80,7 @@ def stereo_focal_loss(
     levels = _in_planes(distribution, cells, known)
     log_mass = at_least_float32(logits).log_softmax(1)
     if isinstance(scale, Tensor):
-        scale = torch.where(known, scale[:, : known.shape[1], : known.shape[2]], 1).to(log_mass.dtype)
+        scale = _where_known(scale, known, otherwise=1).to(log_mass.dtype)
     target = unimodal_target(levels.to(log_mass.dtype), torch.zeros_like(cells, dtype=log_mass.dtype), scale)
     weight = (1 - target).clamp(min=torch.finfo(target.dtype).eps) ** -focus
     return mean_over_known(-(weight * target * log_mass).sum(1), known)
@@ -111,9 +111,12 @@ def confidence_loss(certainty: Tensor, known: Tensor) -> Tensor:
     >>> round(confidence_loss(torch.zeros(1, 1, 1), torch.ones(1, 1, 1, dtype=torch.bool)).item(), 4)  # log 2
     0.6931
     """
-    rows, columns = known.shape[1:]
-    certainty = torch.where(known, at_least_float32(certainty)[:, :rows, :columns], 0)
-    return mean_over_known(-F.logsigmoid(certainty), known)
+    return mean_over_known(-F.logsigmoid(_where_known(at_least_float32(certainty), known)), known)
+
+
+def _where_known(values: Tensor, known: Tensor, otherwise: float = 0) -> Tensor:
+    """Values (B, h, w) at the known cells; what is said of the others must not reach the gradient, not as 0 * nan."""
+    return torch.where(known, values[:, : known.shape[1], : known.shape[2]], otherwise)
 
 
 @LOSSES.register("stereo_focal")
@@ -190,8 +193,6 @@ class StereoFocal:
         scale: Tensor | float = self.scale
         if seen.certainty is not None:
             known = valid_pixels(truth_of_cells(truth, seen.stride), max_disparity=max_disparity)
-            rows, columns = known.shape[1:]
-            # what is said of unknown cells must not reach the gradient, not even as 0 * nan
-            certainty = torch.where(known, at_least_float32(seen.certainty)[:, :rows, :columns], 0)
-            scale = self.narrowest + (self.widest - self.narrowest) * (-certainty).sigmoid()
+            unsure = (-_where_known(at_least_float32(seen.certainty), known)).sigmoid()
+            scale = self.narrowest + (self.widest - self.narrowest) * unsure
         return stereo_focal_loss(seen, truth, scale=scale, focus=self.focus, max_disparity=max_disparity)
